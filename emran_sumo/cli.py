@@ -1,0 +1,131 @@
+"""The command line: words in, words out; no logic."""
+
+import shlex
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from emran_sumo.errors import UserError
+
+if TYPE_CHECKING:
+    from emran_sumo.drive import RunResult
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Test vehicle controllers in SUMO traffic: a tire-level ego under EMRAN-aided control, recorded for Rerun.",
+)
+
+
+@app.callback()
+def _root() -> None:
+    pass
+
+
+@app.command("list")
+def list_scenarios() -> None:
+    """Show the scenarios and controllers that come with the package."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from emran_sumo.controllers import CONTROLLERS
+    from emran_sumo.shipped import scenarios
+
+    for title, rows in (
+        ("scenario", scenarios().items()),
+        ("controller", ((name, line) for name, (line, _) in CONTROLLERS.items())),
+    ):
+        table = Table(title, "what it is", box=None, title_justify="left", header_style="bold")
+        for name, line in rows:
+            table.add_row(name, line)
+        Console().print(table, "")
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="Shipped scenario, folder with a scenario.toml, or TOML file.")],
+    controller: Annotated[str | None, typer.Option(help="One of those that `emran-sumo list` shows.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Of the traffic: the same seed gives the same run, bit for bit.")
+    ] = None,
+    density: Annotated[float | None, typer.Option(help="Vehicles per km and lane.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds to drive after the take-over.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Any dotted key, e.g. road.friction=0.6; repeatable."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder that holds the runs.")] = Path("runs"),
+    sumo_gui: Annotated[bool, typer.Option("--sumo-gui", help="Watch in SUMO's own window.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer when done.")] = False,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.")] = False,
+) -> None:
+    """Drive one scenario: writes OUT/<scenario>/<controller>-seed<k>/ with run.rrd, trace.parquet, summary.json."""
+    from emran_sumo import terminal
+
+    given = {"controller": controller, "seed": seed, "traffic.density": density, "duration": duration}
+    flags = {
+        "controller": "--controller",
+        "seed": "--seed",
+        "traffic.density": "--density",
+        "duration": "--duration",
+    }
+    overrides: dict[str, tuple[Any, str]] = {
+        key: (float(value) if isinstance(value, int) and key != "seed" else value, flags[key])
+        for key, value in given.items()
+        if value is not None
+    }
+    with terminal.Display() as display:
+        display.phase("load", 0.0, 0.0)
+        from emran_sumo import drive
+        from emran_sumo.scenario import load, parse_value
+
+        for text in set_ or []:
+            key, equals, value = text.partition("=")
+            if not equals or not key:
+                raise UserError(f'--set: found "{text}"; accepted is KEY=VALUE, e.g. road.friction=0.6.')
+            overrides[key.strip()] = (parse_value(value.strip()), "--set")
+        located = load(scenario, overrides)
+        command = shlex.join(["emran-sumo", *sys.argv[1:]])
+        result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
+    _finish(result, not no_record, view)
+
+
+def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
+    from emran_sumo import terminal
+
+    terminal.show(result, recorded)
+    if view and recorded:
+        import subprocess
+
+        subprocess.Popen([sys.executable, "-m", "rerun", str(result.folder / "run.rrd")], start_new_session=True)
+    if result.ended == "interrupted":
+        raise SystemExit(128 + (signal.SIGTERM if "SIGTERM" in result.reason else signal.SIGINT))
+
+
+def main() -> None:
+    """Entry point: a user's mistake is one sentence and exit code 2."""
+    try:
+        app(standalone_mode=False)
+    except UserError as error:
+        print(f"emran-sumo: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except typer.Exit as exit_:
+        raise SystemExit(exit_.exit_code) from None
+    except KeyboardInterrupt:
+        print("emran-sumo: interrupted before the drive began; nothing was recorded.", file=sys.stderr)
+        raise SystemExit(130) from None
+    except Exception as error:
+        _click_error(error)
+
+
+def _click_error(error: Exception) -> None:
+    """Wrong options are reported like any other mistake; everything else is a defect and keeps its traceback."""
+    show = getattr(error, "format_message", None)
+    if show is None:
+        raise error
+    print(f"emran-sumo: {show()} Try `emran-sumo --help`.", file=sys.stderr)
+    raise SystemExit(2) from None

@@ -1,0 +1,1 @@
+"""How the car is driven: compiled, pure control laws, one a file."""

@@ -1,0 +1,208 @@
+"""Path tracking: Stanley alone, or in the full scheme with tire-inverse feed-forward, preview and EMRAN."""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from emran_sumo.control.emran import EmranParams, fade, learn, learn_bias, predict, prune
+from emran_sumo.control.stanley import stanley
+from emran_sumo.kernels import njit
+from emran_sumo.path import mean_curvature, nearest, tracking_errors
+from emran_sumo.plant.tire import slip_angle_for_force
+from emran_sumo.units import Unit
+
+GRAVITY = 9.81
+INPUTS = 4  # cross-track error, heading error, lateral speed, yaw rate
+LEARNING_SPEED = 2.0  # m/s: below it the course is not defined well enough to learn from
+SLOWEST_SCALED = 7.5  # m/s: learning rates grow no further below this speed
+
+
+class SteeringParams(NamedTuple):
+    """The lateral law and its network.
+
+    With `feedforward` off Eq. 22 acts alone, on the errors of the front axle: the paper's baseline.
+    """
+
+    feedforward: Annotated[bool, Unit("on/off")] = True
+    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 3.3585
+    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 1.2817
+    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0702
+    reference_ahead: Annotated[float, Field(ge=-5, le=5), Unit("m")] = 0.052
+    preview_feedforward: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0423
+    preview_feedback: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0555
+    preview_slope: Annotated[float, Field(ge=0, le=2), Unit("s per 10 m/s")] = 0.072
+    preview_window: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0323
+    friction_estimate: Annotated[float, Field(gt=0, le=2), Unit("-")] = 0.95
+    slip_cap: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.14
+    slip_limit: Annotated[float, Field(gt=0, le=2), Unit("rad")] = 0.15
+    guard: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.035
+    guard_decay: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 2.0
+    smoothing: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.927
+    rate_exponent: Annotated[float, Field(ge=0, le=5), Unit("-")] = 2.43
+    cross_track_scale: Annotated[float, Field(ge=0, le=1000), Unit("1/m")] = 5.65
+    heading_scale: Annotated[float, Field(ge=0, le=1000), Unit("1/rad")] = 12.91
+    speed_lat_scale: Annotated[float, Field(ge=0, le=1000), Unit("s/m")] = 10.432
+    yaw_rate_scale: Annotated[float, Field(ge=0, le=1000), Unit("s/rad")] = 14.016
+    emran: EmranParams = EmranParams()
+
+
+class SteeringMemory(NamedTuple):
+    """Smoothed output of the network [rad]."""
+
+    smoothed: float
+
+
+class SteeringCommand(NamedTuple):
+    """Road-wheel angle asked [rad] with its parts from the law and the network, and the learning signal [rad]."""
+
+    angle: float
+    law: float
+    network: float
+    signal: float
+    learned: bool
+
+
+@njit
+def static_load(vehicle, rear):
+    """Load of one axle at rest on the flat [N]."""
+    wheelbase = vehicle.front_axle + vehicle.rear_axle
+    arm = vehicle.front_axle if rear else vehicle.rear_axle
+    return vehicle.mass * GRAVITY * arm / wheelbase
+
+
+@njit
+def cornering_slip(params, vehicle, lateral_accel, rear):
+    """Slip angle magnitude, signed like `lateral_accel` [m/s2], with which an axle carries its share of the turn.
+
+    The inverse of the tire model at zero slip ratio, static load and the estimated friction; held at `slip_cap`.
+    """
+    load = static_load(vehicle, rear)
+    tire = vehicle.tire
+    one = tire.cornering_stiffness_rear if rear else tire.cornering_stiffness_front
+    return slip_angle_for_force(
+        load / GRAVITY * lateral_accel,
+        load,
+        tire.tires_per_axle * one,
+        tire.sliding_gain,
+        tire.sliding_decay,
+        params.friction_estimate,
+        params.slip_cap,
+    )
+
+
+@njit
+def _preview(params, speed, time):
+    return max(time + params.preview_slope * (speed - 10.0) / 10.0, 0.0) * speed
+
+
+@njit
+def track(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period):
+    """Steering command that makes the vehicle follow the path.
+
+        delta = delta_ff + delta_fb + delta_nn                                                       (21)
+        delta_ff = L kappa + alpha_f*(v^2 kappa) - alpha_r*(v^2 kappa)     tire inverse alpha*, previewed kappa
+        delta_fb = Eq. 22 on the errors that remain beyond the side slip of the bend, plus yaw damping
+        y_e = psi_e - atan2(v_y + a r, v_x) + atan(k e / (k_s + v))        course error: zero on the path
+
+    Args:
+        params: SteeringParams.
+        network: EmranMemory with 4 inputs, changed in place.
+        vehicle: VehicleParams the law believes in.
+        memory: SteeringMemory of the last call.
+        state: VehicleState (speeds, yaw rate and steering angle are used).
+        path: Path.
+        point: Point of the path nearest to the center of gravity.
+        cross_track_error, heading_error: at the center of gravity [m], [rad].
+        period: control period [s].
+
+    Returns:
+        (SteeringCommand, SteeringMemory)
+
+    Source: paper, section III-C, Eq. 21-22.  Differs: the paper learns delta_s + K e, which is not zero on a bent path
+    (the heading error must carry the side slip), so that learning trades path for heading error; the course error is.
+    """
+    if params.feedforward:
+        return _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period)
+    x = state.x + vehicle.front_axle * math.cos(state.yaw)
+    y = state.y + vehicle.front_axle * math.sin(state.yaw)
+    front = nearest(path, x, y, point.position + vehicle.front_axle)
+    cross_track, heading = tracking_errors(front, x, y, state.yaw)
+    law = stanley(params.gain, params.softening, cross_track, heading, state.speed_long)
+    return SteeringCommand(_limited(vehicle, law), law, 0.0, 0.0, False), memory
+
+
+@njit
+def _law(params, vehicle, state, path, point, cross_track_error, heading_error):
+    """Feed-forward and feedback of the full scheme [rad]."""
+    v = max(state.speed_long, 0.0)
+    window = params.preview_window * v
+    ahead = point.position + _preview(params, v, params.preview_feedforward)
+    kappa_ff = mean_curvature(path, ahead, window)
+    ahead = point.position + _preview(params, v, params.preview_feedback)
+    kappa_fb = mean_curvature(path, ahead, window)
+    wheelbase = vehicle.front_axle + vehicle.rear_axle
+    front = cornering_slip(params, vehicle, v * v * kappa_ff, False)
+    rear = cornering_slip(params, vehicle, v * v * kappa_ff, True)
+    feedforward = wheelbase * kappa_ff + front - rear
+    rear_fb = cornering_slip(params, vehicle, v * v * kappa_fb, True)
+    side_slip = vehicle.rear_axle * kappa_fb - rear_fb + params.reference_ahead * kappa_fb
+    feedback = stanley(params.gain, params.softening, cross_track_error, heading_error - side_slip, v)
+    return feedforward + feedback + params.yaw_damping * (kappa_fb * v - state.yaw_rate)
+
+
+@njit
+def _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period):
+    emran = params.emran
+    a = params.reference_ahead
+    cross_track = cross_track_error + a * math.sin(heading_error)
+    law = _law(params, vehicle, state, path, point, cross_track, heading_error)
+    v = state.speed_long
+    safe = max(v, 0.1)
+    course = math.atan2(state.speed_lat + a * state.yaw_rate, safe)
+    signal = stanley(params.gain, params.softening, cross_track, heading_error - course, v)
+    front = math.atan2(state.speed_lat + vehicle.front_axle * state.yaw_rate, safe)
+    rear = math.atan2(state.speed_lat - vehicle.rear_axle * state.yaw_rate, safe)
+    slip = max(abs(front - state.steer), abs(rear))
+    learned, smoothed, part = False, 0.0, 0.0
+    if emran.authority > 0.0:
+        inputs = np.empty(INPUTS)
+        inputs[0] = params.cross_track_scale * cross_track
+        inputs[1] = params.heading_scale * heading_error
+        inputs[2] = params.speed_lat_scale * state.speed_lat
+        inputs[3] = params.yaw_rate_scale * state.yaw_rate
+        learned = _learn(params, network, inputs, signal, slip, v, period)
+        output = predict(emran, network, inputs)
+        prune(emran, network, inputs)
+        smoothed = memory.smoothed + params.smoothing * (output - memory.smoothed)
+        part = emran.authority * min(max(2.0 - slip / params.guard, 0.0), 1.0) * smoothed
+    total = law + part
+    # beyond the peak of the tire more steering gives less force
+    total = min(max(total, front - params.slip_limit), front + params.slip_limit)
+    return SteeringCommand(_limited(vehicle, total), law, part, signal, learned), SteeringMemory(smoothed)
+
+
+@njit
+def _learn(params, network, inputs, signal, slip, speed, period):
+    """One sample, unless the tires slide (then the weights decay), the car stands or the output is saturated."""
+    emran = params.emran
+    if slip > params.guard:
+        fade(network, 1.0 - params.guard_decay * period, True)
+        return False
+    if speed < LEARNING_SPEED:
+        return False
+    output = predict(emran, network, inputs)
+    if abs(output) >= emran.output_max and output * signal > 0.0:
+        return False
+    scale = (10.0 / max(speed, SLOWEST_SCALED)) ** params.rate_exponent
+    learned = learn(emran, network, inputs, signal, scale, period)
+    if learned:
+        learn_bias(emran, network, signal, 1.0, period)
+    fade(network, 1.0 - emran.leak * period, False)
+    return learned
+
+
+@njit
+def _limited(vehicle, angle):
+    return min(max(angle, -vehicle.steer_limit), vehicle.steer_limit)

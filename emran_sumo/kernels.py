@@ -1,0 +1,56 @@
+"""The one door to numba: compiled functions whose cache can never be stale.
+
+numba's on-disk cache notices a change in the file of a function, but not in the other files that function calls.
+All kernels therefore cache in a folder named by a digest of every kernel source, numba and the CPU.
+"""
+
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+import numba
+from numba.core import config
+
+_PACKAGE = Path(__file__).parent
+_SOURCES = ("plant/*.py", "control/*.py", "kernels.py", "path.py", "loop.py")
+
+
+def _digest() -> str:
+    digest = hashlib.sha256(f"{numba.__version__} {getattr(config, 'CPU_NAME', None)}".encode())
+    for pattern in _SOURCES:
+        for file in sorted(_PACKAGE.glob(pattern)):
+            digest.update(file.name.encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    candidates = (base / "emran_sumo", Path(tempfile.gettempdir()) / f"emran_sumo-{os.getuid()}")
+    for root in candidates if hasattr(os, "getuid") else (base / "emran_sumo",):
+        folder = root / _digest()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / ".writable").touch()
+        except OSError:
+            continue
+        return folder
+    return Path(tempfile.mkdtemp(prefix="emran_sumo-"))
+
+
+CACHE_FOLDER = _cache_folder()
+if "NUMBA_CACHE_DIR" not in os.environ:
+    setattr(config, "CACHE_DIR", str(CACHE_FOLDER))  # noqa: B010
+
+njit = numba.njit(cache=True)
+
+
+def compiled_before() -> bool:
+    """Whether a complete set of kernels lies in the cache (see `mark_compiled`)."""
+    return (CACHE_FOLDER / "compiled").exists() or bool(getattr(config, "DISABLE_JIT", 0))
+
+
+def mark_compiled() -> None:
+    """Remember that every kernel of this version has been compiled."""
+    (CACHE_FOLDER / "compiled").touch()

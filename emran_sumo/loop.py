@@ -1,0 +1,258 @@
+"""The closed loop on one screen: path and speed reference -> law + network -> plant -> trace."""
+
+import math
+from collections import namedtuple
+from typing import NamedTuple
+
+import numpy as np
+
+from emran_sumo.control.cruise import INPUTS as CRUISE_INPUTS
+from emran_sumo.control.cruise import (
+    CruiseMemory,
+    CruiseParams,
+    Motion,
+    cruise,
+    resistance,
+    rolling_memory,
+)
+from emran_sumo.control.emran import (
+    GROWN,
+    LEARNED,
+    MERGED,
+    NEURONS,
+    PRUNED,
+    EmranMemory,
+    blank_memory,
+)
+from emran_sumo.control.steering import INPUTS as STEERING_INPUTS
+from emran_sumo.control.steering import SteeringMemory, SteeringParams, track
+from emran_sumo.kernels import njit
+from emran_sumo.path import interpolate, nearest, path_length, tracking_errors
+from emran_sumo.plant.disturbance import environment
+from emran_sumo.plant.vehicle import Actuation, VehicleState, forces, step
+
+RUNNING, DIVERGED, PATH_ENDED = range(3)
+STATUS = ("running", "diverged", "path ended")
+LOST_CROSS_TRACK = 6.0  # m: almost two lanes beside the path the controller has lost the car
+LOST_HEADING = 1.4  # rad
+
+TRACE = (
+    "time", "x", "y", "yaw", "speed_long", "speed_lat", "yaw_rate", "accel_long", "accel_lat",
+    "steer", "steer_command", "steer_law", "steer_network",
+    "accel_command", "accel_law", "accel_network", "torque",
+    "wheel_speed_front", "wheel_speed_rear", "slip_ratio_front", "slip_ratio_rear",
+    "slip_angle_front", "slip_angle_rear", "force_long_front", "force_long_rear",
+    "force_lat_front", "force_lat_rear", "load_front", "load_rear",
+    "friction", "friction_use_front", "friction_use_rear", "grade", "force_external_lat",
+    "speed_reference", "accel_reference", "speed_error",
+    "path_position", "reference_x", "reference_y", "reference_yaw", "reference_curvature",
+    "cross_track_error", "heading_error",
+    "neurons_speed", "neurons_steering", "signal_speed", "signal_steering",
+    "learned_speed", "learned_steering", "grown_speed", "grown_steering",
+    "pruned_speed", "pruned_steering", "merged_speed", "merged_steering",
+)  # fmt: skip
+WIDTH = len(TRACE)
+AT = namedtuple("Column", TRACE)(*range(WIDTH))  # AT.time is the place of "time" in a row
+
+
+class ControlParams(NamedTuple):
+    """Both halves of the coupled controller."""
+
+    longitudinal: CruiseParams = CruiseParams()
+    lateral: SteeringParams = SteeringParams()
+
+
+class Networks(NamedTuple):
+    """What the two networks of one ego have learned; arrays changed in place."""
+
+    speed: EmranMemory
+    steering: EmranMemory
+
+
+class LoopState(NamedTuple):
+    """Everything of one ego that the next control step needs, besides its networks."""
+
+    vehicle: VehicleState
+    cruise: CruiseMemory
+    steering: SteeringMemory
+    position: float  # m along the path
+
+
+class Clock(NamedTuple):
+    """Integer time: `tick` counts control periods; `period` [s] holds `substeps` plant steps of `plant_step` [s]."""
+
+    tick: int
+    period: float
+    substeps: int
+    plant_step: float
+
+
+def blank_networks(params: ControlParams) -> Networks:
+    """Two empty networks."""
+    return Networks(
+        blank_memory(params.longitudinal.emran, CRUISE_INPUTS),
+        blank_memory(params.lateral.emran, STEERING_INPUTS),
+    )
+
+
+def start(vehicle, state: VehicleState, position: float, full: bool) -> LoopState:
+    """State of a loop that takes over a rolling vehicle: the plain PID starts at the trim of drag and rolling."""
+    achieved = state.torque / (vehicle.wheel_radius * vehicle.mass)
+    trim = 0.0 if full else float(resistance(vehicle, state.speed_long))
+    motion = Motion(state.speed_long, state.accel_long, 0.0, achieved)
+    return LoopState(state, rolling_memory(state.speed_long, motion, trim), SteeringMemory(0.0), position)
+
+
+@njit
+def closed_loop(
+    vehicle,
+    control,
+    disturbance,
+    friction,
+    path,
+    clock,
+    speeds,
+    accels,
+    state,
+    speed_net,
+    steering_net,
+    trace,
+):
+    """Drive `accels.size` control periods and write one row of `trace` at the end of each.
+
+    Args:
+        vehicle: VehicleParams; control: ControlParams; disturbance: DisturbanceParams.
+        friction: of the road [-].
+        path: Path to follow.
+        clock: Clock of the first period.
+        speeds: (n + 1,) speed reference [m/s] at the borders of the periods.
+        accels: (n,) acceleration reference [m/s2] within each period.
+        state: LoopState.
+        speed_net, steering_net: EmranMemory, changed in place.
+        trace: (n, WIDTH) rows, columns named by TRACE.
+
+    Returns:
+        (LoopState, status, rows written); status is RUNNING, DIVERGED or PATH_ENDED.
+    """
+    car, cruise_memory, steering_memory = state.vehicle, state.cruise, state.steering
+    period = clock.period
+    point = nearest(path, car.x, car.y, state.position)
+    for k in range(accels.size):
+        time = (clock.tick + k) * period
+        env = _environment(disturbance, friction, path, time, point.position, car.speed_long)
+        cross_track, heading = tracking_errors(point, car.x, car.y, car.yaw)
+        motion = _motion(vehicle, car, env)
+        push, cruise_memory = cruise(
+            control.longitudinal, speed_net, vehicle, cruise_memory, motion, speeds[k], accels[k], period
+        )
+        turn, steering_memory = track(
+            control.lateral,
+            steering_net,
+            vehicle,
+            steering_memory,
+            car,
+            path,
+            point,
+            cross_track,
+            heading,
+            period,
+        )
+        actuation = Actuation(turn.angle, vehicle.mass * vehicle.wheel_radius * push.accel)
+        for j in range(clock.substeps):
+            now = time + j * clock.plant_step
+            travelled = point.position + car.speed_long * j * clock.plant_step
+            env = _environment(disturbance, friction, path, now, travelled, car.speed_long)
+            car = step(vehicle, car, actuation, env, clock.plant_step)
+        point = nearest(path, car.x, car.y, point.position + car.speed_long * period)
+        row = trace[k]
+        row[AT.time] = (clock.tick + k + 1) * period
+        _write_car(row, vehicle, car, env)
+        _write_control(row, turn, push)
+        _write_reference(row, car, point, speeds[k + 1], accels[k])
+        _write_networks(row, push, turn, speed_net, steering_net)
+        state = LoopState(car, cruise_memory, steering_memory, point.position)
+        if _lost(row[AT.cross_track_error], row[AT.heading_error], car):
+            return state, DIVERGED, k + 1
+        if point.position >= path_length(path) - 1e-6:
+            return state, PATH_ENDED, k + 1
+    return state, RUNNING, accels.size
+
+
+@njit
+def _environment(disturbance, friction, path, time, position, speed):
+    grade = interpolate(path.grade, path, position)
+    slope = (interpolate(path.grade, path, position + path.spacing) - grade) / path.spacing
+    return environment(disturbance, friction, grade, slope, time, position, speed)
+
+
+@njit
+def _motion(vehicle, car, env):
+    """What the sensors say; the centripetal part of the accelerometer is known from yaw rate and side speed."""
+    f = forces(vehicle, car, env)
+    achieved = car.torque / (vehicle.wheel_radius * vehicle.mass)
+    return Motion(car.speed_long, f.accel_long + car.speed_lat * car.yaw_rate, env.pitch_rate, achieved)
+
+
+@njit
+def _lost(cross_track, heading, car):
+    finite = math.isfinite(car.x + car.y + car.yaw + car.speed_long + car.speed_lat + car.yaw_rate)
+    return not finite or abs(cross_track) > LOST_CROSS_TRACK or abs(heading) > LOST_HEADING
+
+
+@njit
+def _write_car(row, vehicle, car, env):
+    f = forces(vehicle, car, env)
+    row[AT.x], row[AT.y], row[AT.yaw] = car.x, car.y, car.yaw
+    row[AT.speed_long], row[AT.speed_lat], row[AT.yaw_rate] = car.speed_long, car.speed_lat, car.yaw_rate
+    row[AT.accel_long], row[AT.accel_lat] = f.accel_long, f.accel_lat
+    row[AT.steer] = car.steer
+    row[AT.torque] = car.torque
+    row[AT.wheel_speed_front], row[AT.wheel_speed_rear] = car.wheel_speed_front, car.wheel_speed_rear
+    row[AT.slip_ratio_front], row[AT.slip_ratio_rear] = f.slip_ratio_front, f.slip_ratio_rear
+    row[AT.slip_angle_front], row[AT.slip_angle_rear] = f.slip_angle_front, f.slip_angle_rear
+    row[AT.force_long_front], row[AT.force_long_rear] = f.force_long_front, f.force_long_rear
+    row[AT.force_lat_front], row[AT.force_lat_rear] = f.force_lat_front, f.force_lat_rear
+    row[AT.load_front], row[AT.load_rear] = f.load_front, f.load_rear
+    row[AT.friction] = env.friction
+    row[AT.friction_use_front], row[AT.friction_use_rear] = f.friction_use_front, f.friction_use_rear
+    row[AT.grade], row[AT.force_external_lat] = env.grade, env.force_lat
+
+
+@njit
+def _write_control(row, turn, push):
+    row[AT.steer_command], row[AT.steer_law], row[AT.steer_network] = turn.angle, turn.law, turn.network
+    row[AT.accel_command], row[AT.accel_law], row[AT.accel_network] = push.accel, push.law, push.network
+
+
+@njit
+def _write_reference(row, car, point, speed, accel):
+    cross_track, heading = tracking_errors(point, car.x, car.y, car.yaw)
+    row[AT.speed_reference], row[AT.accel_reference], row[AT.speed_error] = (
+        speed,
+        accel,
+        speed - car.speed_long,
+    )
+    (
+        row[AT.path_position],
+        row[AT.reference_x],
+        row[AT.reference_y],
+        row[AT.reference_yaw],
+        row[AT.reference_curvature],
+    ) = point.position, point.x, point.y, point.yaw, point.curvature
+    row[AT.cross_track_error], row[AT.heading_error] = cross_track, heading
+
+
+@njit
+def _write_networks(row, push, turn, speed_net, steering_net):
+    row[AT.signal_speed], row[AT.signal_steering] = push.signal, turn.signal
+    a, b = speed_net.counts, steering_net.counts
+    row[AT.neurons_speed], row[AT.neurons_steering] = a[NEURONS], b[NEURONS]
+    row[AT.learned_speed], row[AT.learned_steering] = a[LEARNED], b[LEARNED]
+    row[AT.grown_speed], row[AT.grown_steering] = a[GROWN], b[GROWN]
+    row[AT.pruned_speed], row[AT.pruned_steering] = a[PRUNED], b[PRUNED]
+    row[AT.merged_speed], row[AT.merged_steering] = a[MERGED], b[MERGED]
+
+
+def new_trace(rows: int) -> np.ndarray:
+    """Empty trace of `rows` control periods."""
+    return np.zeros((rows, WIDTH))

@@ -1,0 +1,1 @@
+"""What the car is: compiled, pure functions of state and parameters."""

@@ -1,0 +1,1 @@
+"""What a run leaves behind: the Rerun recording and the trace table."""

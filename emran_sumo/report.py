@@ -1,0 +1,84 @@
+"""A run in words: the same rows for the terminal and for the recording."""
+
+import math
+from typing import Any, NamedTuple
+
+
+class Row(NamedTuple):
+    """One line of the table: group, what it is, RMS or single value, largest value."""
+
+    group: str
+    name: str
+    value: str
+    most: str = ""
+
+
+def rows(summary: dict[str, Any]) -> list[Row]:
+    """The table of a run from its summary."""
+    m = summary["metrics"]
+    tracking, comfort, safety, nets, run = (m[k] for k in ("tracking", "comfort", "safety", "networks", "run"))
+    degrees = 180.0 / math.pi
+    return [
+        _pair("tracking", "cross-track error", tracking, "cross_track_error", "m", 4),
+        _pair("tracking", "heading error", tracking, "heading_error", "deg", 3, degrees),
+        _pair("tracking", "speed error", tracking, "speed_error", "m/s", 4),
+        Row("safety", "least time to collision", _number(safety["time_to_collision_min"], "s", 1)),
+        Row("safety", "least gap ahead", _number(safety["gap_min"], "m", 1)),
+        Row("safety", "collisions of the ego", str(safety["collisions"])),
+        Row("safety", "collisions of others", str(safety["collisions_of_others"])),
+        _pair("comfort", "lateral acceleration", comfort, "accel_lat", "m/s²", 2),
+        _pair("comfort", "lateral jerk", comfort, "jerk_lat", "m/s³", 2),
+        _pair("comfort", "longitudinal acceleration", comfort, "accel_long", "m/s²", 2),
+        _pair("comfort", "longitudinal jerk", comfort, "jerk_long", "m/s³", 2),
+        _neurons("steering", nets),
+        _neurons("speed", nets),
+        Row("run", "simulated", _number(run["simulated"], "s", 1)),
+        Row("run", "real-time factor", _number(run["real_time_factor"], "", 1)),
+        Row("run", "vehicles on the road, mean", _number(run["vehicles_mean"], "", 0)),
+    ]
+
+
+def _pair(group: str, name: str, values: dict[str, float], key: str, unit: str, digits: int, scale=1.0) -> Row:
+    both = (_number(values[f"{key}_{kind}"] * scale, unit, digits) for kind in ("rms", "max"))
+    return Row(group, name, *both)
+
+
+def _neurons(name: str, nets: dict[str, Any]) -> Row:
+    share = f"{100.0 * nets[f'learned_share_{name}']:.0f} % of samples learned"
+    end, most = nets[f"neurons_{name}_end"], nets[f"neurons_{name}_max"]
+    return Row("networks", f"{name} network", f"{end} neurons at the end, {share}", f"{most} neurons")
+
+
+def _number(value: float | None, unit: str, digits: int) -> str:
+    return "none" if value is None else f"{value:.{digits}f} {unit}".strip()
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """One sentence: what was driven and how it ended."""
+    s = summary["manifest"]["scenario"]
+    name = summary["manifest"]["scenario_name"]
+    density = s["traffic"]["density"]
+    return (
+        f"{name}, {s['controller']}, seed {s['seed']}, {density:g} vehicles/km/lane: "
+        f"{summary['ended']}, {summary['reason']}."
+    )
+
+
+def summary_markdown(summary: dict[str, Any]) -> str:
+    """The summary shown inside the recording."""
+    m = summary["metrics"]
+    t, s, n = m["tracking"], m["safety"], m["networks"]
+    ttc = _number(s["time_to_collision_min"], "s", 1)
+    neurons = f"{n['neurons_steering_max']} + {n['neurons_speed_max']}"
+    cells = (
+        ("cross-track RMS", f"**{t['cross_track_error_rms']:.3f} m**"),
+        ("max", f"{t['cross_track_error_max']:.3f} m"),
+        ("heading RMS", f"{math.degrees(t['heading_error_rms']):.2f}°"),
+        ("speed RMS", f"{t['speed_error_rms']:.3f} m/s"),
+        ("min TTC", ttc),
+        ("neurons steer + speed", neurons),
+    )
+    head = " | ".join(name for name, _ in cells)
+    line = " | ".join("---" for _ in cells)
+    body = " | ".join(value for _, value in cells)
+    return f"**{verdict(summary)}**\n\n| {head} |\n| {line} |\n| {body} |\n\nRepeat: `{summary['manifest']['command']}`"

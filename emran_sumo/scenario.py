@@ -1,0 +1,232 @@
+"""A scenario: TOML file + controller + command line -> one validated record, or one sentence about what is wrong."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import Field, TypeAdapter, ValidationError
+
+from emran_sumo import locate, shipped
+from emran_sumo.control.cruise import CruiseParams
+from emran_sumo.control.steering import SteeringParams
+from emran_sumo.controllers import CONTROLLERS, DEFAULT
+from emran_sumo.errors import UserError, nearest_name
+from emran_sumo.loop import ControlParams
+from emran_sumo.plant.disturbance import DisturbanceParams
+from emran_sumo.plant.vehicle import VehicleParams
+from emran_sumo.units import Unit
+from emran_sumo.world.demand import TrafficParams
+
+FILE = "scenario.toml"
+
+
+class RateParams(NamedTuple):
+    """Steps of the clocks; each is a whole multiple of the one below it.
+
+    driver_step: how often the drivers of the other vehicles decide (SUMO's action step length).
+    """
+
+    driver_step: Annotated[float, Field(ge=0.01, le=2), Unit("s")] = 0.2
+    sumo_step: Annotated[float, Field(ge=0.01, le=1), Unit("s")] = 0.05
+    control_step: Annotated[float, Field(ge=0.001, le=0.1), Unit("s")] = 0.01
+    plant_step: Annotated[float, Field(ge=0.0001, le=0.002), Unit("s")] = 0.001
+
+
+class RoadParams(NamedTuple):
+    """friction of the road; speed_limit of all lanes outside ramps, 0 to keep the network's own."""
+
+    friction: Annotated[float, Field(ge=0.05, le=2), Unit("-")] = 1.0
+    speed_limit: Annotated[float, Field(ge=0, le=70), Unit("m/s")] = 0.0
+
+
+class Scenario(NamedTuple):
+    """Everything a run needs; sections are records of their own."""
+
+    title: str = ""
+    network: str = ""
+    routes: tuple[str, ...] = ()
+    ego: str = "ego"
+    controller: str = DEFAULT
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1), Unit("-")] = 1
+    duration: Annotated[float, Field(gt=0, le=86_400), Unit("s")] = 60.0
+    warm_up: Annotated[float, Field(ge=0, le=3600), Unit("s")] = 20.0
+    rates: RateParams = RateParams()
+    road: RoadParams = RoadParams()
+    traffic: TrafficParams = TrafficParams()
+    vehicle: VehicleParams = VehicleParams()
+    longitudinal: CruiseParams = CruiseParams()
+    lateral: SteeringParams = SteeringParams()
+    disturbance: DisturbanceParams = DisturbanceParams()
+
+    @property
+    def control(self) -> ControlParams:
+        """Parameters of both halves of the controller."""
+        return ControlParams(self.longitudinal, self.lateral)
+
+
+class Located(NamedTuple):
+    """A validated scenario with the folder its files are relative to and its name."""
+
+    name: str
+    folder: Path
+    values: Scenario
+
+
+_ADAPTER = TypeAdapter(Scenario)
+
+
+def find(name: str) -> Path:
+    """The TOML file of a shipped scenario, of a folder that holds one, or the file itself."""
+    given = Path(name)
+    if given.suffix == ".toml" or given.is_dir():
+        file = given / FILE if given.is_dir() else given
+        if not file.is_file():
+            raise UserError(f"{file}: no such scenario file.")
+        return file
+    file = locate.folder("scenarios") / name / FILE
+    if "/" in name or "\\" in name or not file.is_file():
+        raise UserError(f'Unknown scenario "{name}". {nearest_name(name, list(shipped.scenarios()))}')
+    return file
+
+
+def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> Located:
+    """Read, merge and validate a scenario.
+
+    Args:
+        name: shipped scenario, folder or TOML file.
+        overrides: dotted key -> (value, where it came from, e.g. "--set"); they win over the file, which wins over
+            the values of the controller.
+
+    Raises:
+        UserError: one sentence with file, key, what was found and what is accepted.
+    """
+    file = find(name)
+    given = _flat(_read(file))
+    origin = dict.fromkeys(given, str(file))
+    for key, (value, where) in (overrides or {}).items():
+        given[key], origin[key] = value, where
+    controller = given.get("controller", DEFAULT)
+    if controller not in CONTROLLERS:
+        hint = nearest_name(str(controller), list(CONTROLLERS))
+        where = origin.get("controller", file)
+        raise UserError(f'{where}: controller: found "{controller}". {hint}')
+    preset = dict(CONTROLLERS[controller][1])
+    known = dict.fromkeys(_leaves(Scenario))
+    for key in given:
+        if key not in known:
+            raise UserError(f'{origin[key]}: unknown key "{key}". {nearest_name(key, list(known))}')
+    values = _tree({**_flat(to_dict(Scenario())), **preset, **given})
+    try:
+        scenario = _ADAPTER.validate_python(values, strict=True)
+    except ValidationError as error:
+        raise UserError(_sentence(error, origin, file)) from None
+    _check_rates(scenario.rates, origin, file)
+    if not scenario.network or not scenario.routes:
+        missing = "network" if not scenario.network else "routes"
+        raise UserError(f'{file}: key "{missing}" is missing; it names the file of the {missing}.')
+    return Located(file.parent.name if file.name == FILE else file.stem, file.parent, scenario)
+
+
+def to_dict(record: Any) -> dict[str, Any]:
+    """Nested dict of a record of records."""
+    return {key: to_dict(value) if hasattr(value, "_asdict") else value for key, value in record._asdict().items()}
+
+
+def parse_value(text: str) -> object:
+    """A value as TOML would read it; bare words are strings."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        with file.open("rb") as stream:
+            return tomllib.load(stream)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{file}: not valid TOML: {error}.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{file}: cannot be read: {error}.") from None
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[prefix + key] = tuple(value) if isinstance(value, list) else value
+    return flat
+
+
+def _tree(flat: dict[str, Any]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for key, value in flat.items():
+        *sections, leaf = key.split(".")
+        node = tree
+        for section in sections:
+            node = node.setdefault(section, {})
+        node[leaf] = value
+    return tree
+
+
+def _leaves(record: type, prefix: str = "") -> dict[str, Any]:
+    """Dotted key -> annotation of every scalar key of a record type."""
+    found: dict[str, Any] = {}
+    for key, annotation in get_type_hints(record, include_extras=True).items():
+        if hasattr(annotation, "_fields"):
+            found.update(_leaves(annotation, f"{prefix}{key}."))
+        else:
+            found[prefix + key] = annotation
+    return found
+
+
+def keys() -> dict[str, str]:
+    """Every dotted key with what it accepts."""
+    return {key: accepted(annotation) for key, annotation in _leaves(Scenario).items()}
+
+
+def accepted(annotation: Any) -> str:
+    """What an annotated field accepts, in words: kind, range and unit."""
+    kind, *notes = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+    words = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+    text = words.get(kind, "a list of texts")
+    unit = next((note.symbol for note in notes if isinstance(note, Unit)), "")
+    low, high = None, None
+    for note in notes:
+        for bound in getattr(note, "metadata", [note]):
+            if isinstance(bound, Ge | Gt):
+                low = f"from {bound.ge:g}" if isinstance(bound, Ge) else f"above {bound.gt:g}"
+            if isinstance(bound, Le | Lt):
+                high = f"to {bound.le:g}" if isinstance(bound, Le) else f"below {bound.lt:g}"
+    text = " ".join(part for part in (text, low, high) if part)
+    return f"{text} {unit}" if unit not in ("", "-", "on/off") else text
+
+
+def _sentence(error: ValidationError, origin: dict[str, str], file: Path) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    annotation = _leaves(Scenario).get(key)
+    found = first["input"]
+    shown = f'"{found}"' if isinstance(found, str) else str(found).lower() if found is True or found is False else found
+    wanted = f"accepted is {accepted(annotation)}" if annotation is not None else first["msg"]
+    if annotation is None:
+        wanted = "accepted is a table of keys"
+    return f"{origin.get(key, file)}: {key}: found {shown}; {wanted}."
+
+
+def _check_rates(rates: RateParams, origin: dict[str, str], file: Path) -> None:
+    for key, slow, fast_key, fast in (
+        ("rates.driver_step", rates.driver_step, "rates.sumo_step", rates.sumo_step),
+        ("rates.sumo_step", rates.sumo_step, "rates.control_step", rates.control_step),
+        ("rates.control_step", rates.control_step, "rates.plant_step", rates.plant_step),
+    ):
+        ratio = slow / fast
+        if ratio < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
+            where = origin.get(key, origin.get(fast_key, file))
+            raise UserError(
+                f"{where}: {key}: found {slow:g} s; accepted is a whole multiple of {fast_key} ({fast:g} s)."
+            )

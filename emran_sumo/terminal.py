@@ -1,0 +1,100 @@
+"""What a run shows on the terminal: a progress bar while it drives, a table when it is done."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from emran_sumo.drive import RunResult
+
+_WORDS = {
+    "load": "loading",
+    "compile": "compiling the kernels, once per version: about half a minute",
+    "warm-up": "warming up the traffic",
+    "drive": "driving",
+}
+_REFRESH = 0.1  # s
+
+
+class Display:
+    """Progress of a run on stderr; use as a context manager and pass `phase` as the run's progress."""
+
+    def __init__(self) -> None:
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[note]}"),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._task: TaskID | None = None
+        self._name = ""
+        self._began = self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._progress.stop()
+
+    def phase(self, name: str, done: float, total: float) -> None:
+        """Show that phase `name` has done `done` of `total` seconds; 0 of 0 where it cannot be known."""
+        now = time.perf_counter()
+        if name != self._name:
+            self._begin(name, now, total)
+        elif now - self._shown < _REFRESH and done < total:
+            return
+        self._shown = now
+        note = ""
+        if name == "drive" and now > self._began:
+            note = f"{done:5.1f} / {total:g} s, {done / (now - self._began):.0f} x real time"
+        elif name == "warm-up":
+            note = f"{done:5.1f} / {total:g} s"
+        assert self._task is not None
+        self._progress.update(self._task, completed=done, note=note)
+
+    def _begin(self, name: str, now: float, total: float) -> None:
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        if name == "compile" and not self._progress.console.is_terminal:
+            self._progress.console.print(_WORDS[name])
+        self._task = self._progress.add_task(_WORDS[name], total=total if name != "compile" else None, note="")
+        self._name, self._began = name, now
+
+
+def show(result: "RunResult", recorded: bool) -> None:
+    """Print how a run ended, its table, and where its files lie."""
+    import json
+
+    from emran_sumo.report import rows, verdict
+
+    console = Console()
+    summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
+    good = result.ended in ("finished", "arrived")
+    console.print(verdict(summary), style="bold" if good else "bold red", highlight=False)
+    table = Table("", "", "RMS or value", "max", box=None, header_style="dim", pad_edge=False)
+    group = ""
+    for row in rows(summary):
+        if group and row.group != group:
+            table.add_row()
+        table.add_row(row.group if row.group != group else "", row.name, row.value, row.most)
+        group = row.group
+    console.print(table)
+    files = [name for name in ("run.rrd", "trace.parquet", "summary.json") if (result.folder / name).exists()]
+    console.print(f"\n{_shown(result.folder)}/  {'  '.join(files)}", highlight=False, soft_wrap=True)
+    if recorded:
+        console.print(f"open it:  rerun {_shown(result.folder / 'run.rrd')}", highlight=False, soft_wrap=True)
+
+
+def _shown(path: Path) -> str:
+    """Shorter of the path as given and the path from here."""
+    try:
+        return str(path.resolve().relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,1 @@
+"""Who gives references and takes poses: SUMO."""
