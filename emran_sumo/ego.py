@@ -40,6 +40,7 @@ UNITS = {
     "signal_speed": "m/s^2", "signal_steering": "rad", "lead_gap": "m", "time_to_collision": "s",
     "deceleration_to_avoid": "m/s^2", "mirror_error": "m",
 }  # fmt: skip
+NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
 AHEAD = 75.0  # m of path shown ahead of the ego
 WAITING = "waiting for a gap"
 NEAR_MISS = 1.0  # s time to collision
@@ -91,6 +92,7 @@ class Ego:
         self._accel = 0.0
         rates = scenario.rates
         self._periods = round(rates.sumo_step / rates.control_step)
+        self._shares = np.arange(self._periods + 1) / self._periods
         self._substeps = round(rates.control_step / rates.plant_step)
 
     def _refuse_missing_lane(self, handed: TakeOver) -> None:
@@ -134,8 +136,9 @@ class Ego:
         """Drive one SUMO step; returns its trace rows (n, columns)."""
         rates = self.scenario.rates
         n = self._periods
-        speeds = np.linspace(self._speed_reference, self._wanted, n + 1)
-        accels = np.full(n, (self._wanted - self._speed_reference) / rates.sumo_step)
+        rise = self._wanted - self._speed_reference
+        speeds = self._speed_reference + rise * self._shares
+        accels = np.full(n, rise / rates.sumo_step)
         clock = Clock(self.tick, rates.control_step, self._substeps, rates.plant_step)
         rows = new_trace(n)
         before = self.state.vehicle.speed_long
@@ -285,6 +288,8 @@ class Ego:
 
     def _note_networks(self, rows: np.ndarray) -> None:
         last = self.frames[-1][-1] if self.frames else np.zeros(WIDTH)
+        if not rows.size or np.array_equal(rows[-1, NETWORK_COUNTS], last[NETWORK_COUNTS]):
+            return
         for row in rows:
             for net in ("steering", "speed"):
                 count = int(row[getattr(AT, f"neurons_{net}")])

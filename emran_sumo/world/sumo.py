@@ -16,6 +16,7 @@ from emran_sumo.world.lanes import joined
 from emran_sumo.world.records import Lane, Road, Traffic
 
 SIGHT = 300.0  # m around the ego in which traffic is read
+SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
 PHANTOM = "emran_sumo.phantom."  # holds the second lane while the ego's body overlaps it
 KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
@@ -314,10 +315,12 @@ class SumoWorld:
         edge = libsumo.lane.getEdgeID(lane) if lane else ":"
         if edge.startswith(":"):
             return None
+        half = 0.5 * libsumo.lane.getWidth(lane)
+        if abs(libsumo.vehicle.getLateralLanePosition(ego)) + 0.5 * self._widths[ego] + SIDE_STEP < half:
+            return None  # well inside at the last step: spare the search for the nearest point
         front = (pose.x + self._front * math.cos(pose.yaw), pose.y + self._front * math.sin(pose.yaw))
         x, y, yaw = _beside(self._line(lane), front)
         offset = -(front[0] - x) * math.sin(yaw) + (front[1] - y) * math.cos(yaw)
-        half = 0.5 * libsumo.lane.getWidth(lane)
         if abs(offset) > half:
             return lane  # the bumper crosses into the next lane: the body is still here
         if abs(offset) + 0.5 * self._widths[ego] <= half:
@@ -358,11 +361,11 @@ class SumoWorld:
         return Traffic(tuple(ids), x, y, yaw, length, width, height, raw[:, 3])
 
     def _size(self, name: str) -> tuple[float, float, float]:
-        kind = libsumo.vehicle.getTypeID(name)
-        if kind not in self._sizes:
-            types = libsumo.vehicletype
-            self._sizes[kind] = (types.getLength(kind), types.getWidth(kind), types.getHeight(kind))
-        return self._sizes[kind]
+        size = self._sizes.get(name)
+        if size is None:
+            vehicle = libsumo.vehicle
+            size = self._sizes[name] = (vehicle.getLength(name), vehicle.getWidth(name), vehicle.getHeight(name))
+        return size
 
     def lane_of(self, ego: str) -> str:
         """Lane that SUMO has the ego on; "" when it is off the road or gone."""
