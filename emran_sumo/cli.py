@@ -127,5 +127,6 @@ def _click_error(error: Exception) -> None:
     show = getattr(error, "format_message", None)
     if show is None:
         raise error
-    print(f"emran-sumo: {show()} Try `emran-sumo --help`.", file=sys.stderr)
+    if text := show().rstrip("."):  # without one the help has been shown already
+        print(f"emran-sumo: {text}. Try `emran-sumo --help`.", file=sys.stderr)
     raise SystemExit(2) from None

@@ -285,7 +285,7 @@ def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scen
 def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> None:
     """Compile or load every kernel of a run by driving a tenth of a second on a straight line."""
     if not kernels.compiled_before():
-        progress("compile", 0.0, 1.0)
+        progress("compile", 0.0, 0.0)
     n = 400
     line = np.arange(n) * 0.25
     flat = np.zeros(n)
@@ -299,7 +299,6 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     )  # fmt: skip
     project(track, np.ones(1), np.ones(1), 5.0, 10.0)
     kernels.mark_compiled()
-    progress("compile", 1.0, 1.0)
 
 
 def _open_recorder(folder: Path, located: Located, world: SumoWorld, manifest: dict[str, Any]) -> Recorder:

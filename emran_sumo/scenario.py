@@ -79,16 +79,16 @@ _ADAPTER = TypeAdapter(Scenario)
 
 def find(name: str) -> Path:
     """The TOML file of a shipped scenario, of a folder that holds one, or the file itself."""
+    known = shipped.scenarios()
     given = Path(name)
-    if given.suffix == ".toml" or given.is_dir():
+    if name in known and not (given / FILE).is_file():  # a folder of that name may hold anything, such as old runs
+        return locate.folder("scenarios") / name / FILE
+    if name and (given.suffix == ".toml" or given.is_dir()):
         file = given / FILE if given.is_dir() else given
         if not file.is_file():
             raise UserError(f"{file}: no such scenario file.")
         return file
-    file = locate.folder("scenarios") / name / FILE
-    if "/" in name or "\\" in name or not file.is_file():
-        raise UserError(f'Unknown scenario "{name}". {nearest_name(name, list(shipped.scenarios()))}')
-    return file
+    raise UserError(f'Unknown scenario "{name}". {nearest_name(name, list(known))}')
 
 
 def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> Located:

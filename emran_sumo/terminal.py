@@ -21,16 +21,21 @@ _REFRESH = 0.1  # s
 
 
 class Display:
-    """Progress of a run on stderr; use as a context manager and pass `phase` as the run's progress."""
+    """Progress of a run on stderr; use as a context manager and pass `phase` as the run's progress.
+
+    Where stderr is no terminal only the compilation is told, which takes long enough to look like a hang.
+    """
 
     def __init__(self) -> None:
+        console = Console(stderr=True)
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.fields[note]}"),
-            console=Console(stderr=True),
+            console=console,
             transient=True,
+            disable=not console.is_terminal,
         )
         self._task: TaskID | None = None
         self._name = ""

@@ -146,7 +146,9 @@ def test_the_built_network_belongs_to_the_sources(tool: ModuleType, net: ET.Elem
         assert {float(lane.get("speed", "nan")) for lane in lanes} == {edge.speed}
         assert {float(lane.get("width", "nan")) for lane in lanes} == {tool.LANE_WIDTH}
         border = np.array([p.split(",") for p in built[name].get("shape", "").split()], float)
-        np.testing.assert_allclose(border, tool.corners(edge.left_border), atol=1e-4)
+        expected = tool.corners(edge.left_border)
+        if len(expected) > 2:  # netconvert keeps no shape of a straight edge
+            np.testing.assert_allclose(border, expected, atol=1e-4)
     links = {
         (c.get("from"), c.get("to"), int(c.get("fromLane", -1)), int(c.get("toLane", -1)))
         for c in net.iter("connection")
