@@ -18,18 +18,22 @@ import numpy as np
 
 from emran_sumo import __version__, kernels, locate, metrics
 from emran_sumo.ego import COLUMNS, UNITS, Ego, learning_state
-from emran_sumo.errors import UserError
-from emran_sumo.loop import AT, DIVERGED, PATH_ENDED, Clock, blank_networks, closed_loop, new_trace, start
+from emran_sumo.errors import UserError, nearest_name
+from emran_sumo.loop import AT, DIVERGED, PATH_ENDED, blank_networks, closed_loop, new_trace, quiet_references, start
 from emran_sumo.path import Path as Track
 from emran_sumo.path import project
 from emran_sumo.plant.vehicle import rolling_start
-from emran_sumo.recording.recorder import EgoShape, Recorder
+from emran_sumo.recording.car import EgoShape
+from emran_sumo.recording.recorder import Recorder
 from emran_sumo.recording.table import write_trace
 from emran_sumo.report import summary_markdown
 from emran_sumo.scenario import Located, Scenario, to_dict
-from emran_sumo.world import demand
-from emran_sumo.world.sumo import SumoWorld, check_ego
+from emran_sumo.world.demand import write_demand
+from emran_sumo.world.network import main_limit
+from emran_sumo.world.routes import check_ego, departures
+from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.sumo import version as sumo_version
+from emran_sumo.world.track import TrackWorld
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
@@ -99,30 +103,21 @@ def run(
         UserError: a file, id or folder is not usable.
     """
     scenario = located.values
-    folder = _prepare(Path(out), located)
-    network, routes = _files(located)
-    check_ego(scenario.ego, routes)
+    on_track = scenario.world == "track"
+    network, routes = (Path(), []) if on_track else _files(located)
+    if not on_track:
+        check_ego(scenario.ego, routes)
+    folder = _prepare(Path(out), located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
-    traffic_file = folder / "traffic.rou.xml"
-    limit = scenario.road.speed_limit
-    _write_traffic(traffic_file, network, routes, scenario)
+    world = _open_track(scenario) if on_track else _open_sumo(scenario, folder, network, routes, gui)
     v = scenario.vehicle
-    world = SumoWorld(
-        network,
-        [*routes, traffic_file],
-        scenario.rates.sumo_step,
-        scenario.seed,
-        v.front_axle + v.front_overhang,
-        limit,
-        scenario.rates.driver_step,
-        gui,
-    )
     with world, _stoppable() as stop:
         for now in world.warm_up(scenario.warm_up):
             progress("warm-up", now, scenario.warm_up)
             if stop.signal:
                 raise KeyboardInterrupt
-        world.wait_for(scenario.ego, routes)
+        if isinstance(world, SumoWorld):
+            world.wait_for(scenario.ego, routes)
         ego = Ego(scenario.ego, scenario, world.take_over(scenario.ego, v.width))
         manifest = _manifest(located, command)
         recorder = _open_recorder(folder, located, world, manifest) if record else None
@@ -140,6 +135,23 @@ def run(
     return RunResult(folder, ended, reason, found, trace)
 
 
+def _open_track(scenario: Scenario) -> TrackWorld:
+    rates = scenario.rates
+    return TrackWorld(
+        scenario.track, scenario.duration, rates.sumo_step, rates.control_step, scenario.longitudinal.preview
+    )
+
+
+def _open_sumo(scenario: Scenario, folder: Path, network: Path, routes: list[Path], gui: bool) -> SumoWorld:
+    traffic_file = folder / "traffic.rou.xml"
+    _write_traffic(traffic_file, network, routes, scenario)
+    v, rates = scenario.vehicle, scenario.rates
+    front = v.front_axle + v.front_overhang
+    files = [*routes, traffic_file]
+    limit = scenario.road.speed_limit
+    return SumoWorld(network, files, rates.sumo_step, scenario.seed, front, limit, rates.driver_step, gui)
+
+
 class Seen(NamedTuple):
     """What the host loop counts: largest mirror error [m], crashes among others, mean number of vehicles."""
 
@@ -149,12 +161,12 @@ class Seen(NamedTuple):
 
 
 def _drive(
-    world: SumoWorld, ego: Ego, recorder: Recorder | None, stop: Stop, progress: Progress
+    world: SumoWorld | TrackWorld, ego: Ego, recorder: Recorder | None, stop: Stop, progress: Progress
 ) -> tuple[str, str, Seen]:
     """The host loop: one round per SUMO step."""
     scenario = ego.scenario
     name = ego.name
-    steps = round(scenario.duration / world.step)
+    steps = max(round(scenario.duration / world.step), 1)
     worst, crashes, vehicles = 0.0, set(), 0
     ended, reason, done = "finished", f"drove {scenario.duration:g} s as planned", 0
     before = None
@@ -269,15 +281,16 @@ def _files(located: Located) -> tuple[Path, list[Path]]:
     if not network.suffix and not network.is_file():
         network = locate.folder("networks") / s.network / f"{s.network}.net.xml"
     if not network.is_file():
-        raise UserError(f"{located.folder}: network: no such network file: {network}.")
+        hint = nearest_name(s.network, [folder.name for folder in locate.folder("networks").iterdir()])
+        raise UserError(f'network: found "{s.network}"; no such network file: {network}. {hint}')
     return network, [located.folder / name for name in s.routes]
 
 
 def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scenario) -> None:
     try:
-        limit = scenario.road.speed_limit or demand.main_limit(network)
-        egos = demand.departures(routes, [scenario.ego], limit)
-        demand.write_demand(file, network, routes, scenario.traffic, limit, scenario.seed, egos)
+        limit = scenario.road.speed_limit or main_limit(network)
+        egos = departures(routes, [scenario.ego], limit)
+        write_demand(file, network, routes, scenario.traffic, limit, scenario.seed, egos)
     except ValueError as error:
         raise UserError(f"traffic: {error}.") from None
 
@@ -292,16 +305,16 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     track = Track(line, flat, flat, flat, flat, 0.25)
     state = start(scenario.vehicle, rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0), 5.0, True)
     nets = blank_networks(scenario.control)
-    clock = Clock(0, scenario.rates.control_step, 1, scenario.rates.plant_step)
+    references = quiet_references(track, np.full(3, 10.0), np.zeros(2))
     closed_loop(
-        scenario.vehicle, scenario.control, scenario.disturbance, scenario.road.friction, track, clock,
-        np.full(3, 10.0), np.zeros(2), state, nets.speed, nets.steering, new_trace(2),
+        scenario.vehicle, scenario.control, scenario.disturbance, scenario.road.friction, scenario.clock(),
+        references, state, nets.speed, nets.steering, new_trace(2),
     )  # fmt: skip
     project(track, np.ones(1), np.ones(1), 5.0, 10.0)
     kernels.mark_compiled()
 
 
-def _open_recorder(folder: Path, located: Located, world: SumoWorld, manifest: dict[str, Any]) -> Recorder:
+def _open_recorder(folder: Path, located: Located, world: SumoWorld | TrackWorld, manifest: dict[str, Any]) -> Recorder:
     s, v = located.values, located.values.vehicle
     shape = EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)
     name = f"{located.name}, {s.controller}, seed {s.seed}"

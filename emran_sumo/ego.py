@@ -6,24 +6,25 @@ from typing import NamedTuple
 import numpy as np
 
 from emran_sumo import maneuver, metrics
+from emran_sumo.conditioning import conditioned
 from emran_sumo.errors import UserError
 from emran_sumo.loop import (
     AT,
     TRACE,
     WIDTH,
-    Clock,
+    References,
     blank_networks,
     closed_loop,
     new_trace,
     start,
 )
 from emran_sumo.maneuver import DoubleLaneChange, Others
-from emran_sumo.path import lane_change_offset, nearest, path_length, project
+from emran_sumo.path import Path, lane_change_offset, nearest, path_length, project
+from emran_sumo.plant.disturbance import drawn
+from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import rolling_start
 from emran_sumo.scenario import Scenario
-from emran_sumo.world.lanes import smooth_path
-from emran_sumo.world.records import Traffic
-from emran_sumo.world.sumo import SIGHT, Intent, Pose, TakeOver
+from emran_sumo.world.records import Intent, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
 SAFETY = ("lead_gap", "time_to_collision", "deceleration_to_avoid", "mirror_error")
@@ -41,6 +42,7 @@ UNITS = {
     "deceleration_to_avoid": "m/s^2", "mirror_error": "m",
 }  # fmt: skip
 NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
+SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 WAITING = "waiting for a gap"
 NEAR_MISS = 1.0  # s time to collision
@@ -68,8 +70,9 @@ class Ego:
         self.scenario = scenario
         self.change = maneuver.declared(handed.params, name)
         self.lane_width = handed.lane_width
-        self.base = smooth_path(handed.center_line)
+        self.base = handed.path
         self.path = self.base
+        self.driven = self._conditioned(self.base, float(handed.pose.speed))
         pose = handed.pose
         self._refuse_missing_lane(handed)
         point = nearest(self.base, pose.x, pose.y, _first_guess(self.base, pose))
@@ -93,7 +96,8 @@ class Ego:
         rates = scenario.rates
         self._periods = round(rates.sumo_step / rates.control_step)
         self._shares = np.arange(self._periods + 1) / self._periods
-        self._substeps = round(rates.control_step / rates.plant_step)
+        self._disturbance = drawn(scenario.disturbance, scenario.seed)
+        self._noise = noise_source(scenario.seed)
 
     def _refuse_missing_lane(self, handed: TakeOver) -> None:
         if self.change is None:
@@ -129,25 +133,27 @@ class Ego:
         return ahead < max(self.state.vehicle.speed_long, 1.0) + self.scenario.vehicle.length
 
     def follow(self, intent: Intent) -> None:
-        """Take over what SUMO wants for this step: the cruise reference."""
-        self._wanted = intent.speed
+        """Take over what the world wants for this step: the cruise reference."""
+        self._wanted = intent
 
     def advance(self) -> np.ndarray:
         """Drive one SUMO step; returns its trace rows (n, columns)."""
         rates = self.scenario.rates
         n = self._periods
-        rise = self._wanted - self._speed_reference
-        speeds = self._speed_reference + rise * self._shares
-        accels = np.full(n, rise / rates.sumo_step)
-        clock = Clock(self.tick, rates.control_step, self._substeps, rates.plant_step)
+        speeds, accels = self._wanted.speeds, self._wanted.accels
+        if speeds is None or accels is None:
+            rise = self._wanted.speed - self._speed_reference
+            speeds = self._speed_reference + rise * self._shares
+            accels = np.full(n, rise / rates.sumo_step)
+        noise = self._noise.standard_normal((n, CHANNELS))
         rows = new_trace(n)
         before = self.state.vehicle.speed_long
         s = self.scenario
         self.state, self.status, count = closed_loop(
-            s.vehicle, s.control, s.disturbance, s.road.friction, self.path, clock, speeds, accels,
+            s.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), References(self.path, self.driven, speeds, accels, noise),
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
-        self._speed_reference = self._wanted
+        self._speed_reference = self._wanted.speed
         self._accel = (self.state.vehicle.speed_long - before) / rates.sumo_step
         self.tick += count
         self._note_networks(rows[:count])
@@ -276,7 +282,12 @@ class Ego:
             return
         self.begin, self.began = self.state.position, self.time
         self.path = maneuver.maneuver_path(self.base, change, self.begin, self.lane_width)
+        self.driven = self._conditioned(self.path, car.speed_long)
         self._enter("double lane change", f"double lane change begins at {car.speed_long:.1f} m/s")
+
+    def _conditioned(self, path: Path, speed: float) -> Path:
+        lateral = self.scenario.lateral
+        return conditioned(path, lateral, self.scenario.vehicle, speed) if lateral.conditioning else path
 
     def _enter(self, name: str, text: str, level: str = "INFO") -> None:
         if name != self.maneuver:

@@ -5,11 +5,11 @@ class UserError(Exception):
     """What was found where, and what is accepted; the command line prints it and exits with code 2."""
 
 
-def nearest_name(name: str, known: list[str]) -> str:
-    """` Did you mean "...?"` for a misspelled name, or the list of known ones."""
+def nearest_name(name: str, known: list[str], listed: str = "") -> str:
+    """`Did you mean "..."?` for a misspelled name, or else the known ones, or `listed` in their place."""
     import difflib
 
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if close:
         return f'Did you mean "{close[0]}"?'
-    return "Known: " + ", ".join(sorted(known)) + "."
+    return f"Known: {listed or ', '.join(sorted(known))}."

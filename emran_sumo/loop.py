@@ -27,14 +27,16 @@ from emran_sumo.control.emran import (
 from emran_sumo.control.steering import INPUTS as STEERING_INPUTS
 from emran_sumo.control.steering import SteeringMemory, SteeringParams, track
 from emran_sumo.kernels import njit
-from emran_sumo.path import interpolate, nearest, path_length, tracking_errors
+from emran_sumo.path import Path, interpolate, nearest, path_length, tracking_errors
 from emran_sumo.plant.disturbance import environment
+from emran_sumo.plant.sensors import CHANNELS, SensorParams, measured_state
 from emran_sumo.plant.vehicle import Actuation, VehicleState, forces, step
 
 RUNNING, DIVERGED, PATH_ENDED = range(3)
 STATUS = ("running", "diverged", "path ended")
 LOST_CROSS_TRACK = 6.0  # m: almost two lanes beside the path the controller has lost the car
 LOST_HEADING = 1.4  # rad
+DELAYS = 16  # longest command delay, in control periods, plus one
 
 TRACE = (
     "time", "x", "y", "yaw", "speed_long", "speed_lat", "yaw_rate", "accel_long", "accel_lat",
@@ -56,10 +58,11 @@ AT = namedtuple("Column", TRACE)(*range(WIDTH))  # AT.time is the place of "time
 
 
 class ControlParams(NamedTuple):
-    """Both halves of the coupled controller."""
+    """Both halves of the coupled controller, and what they see through."""
 
     longitudinal: CruiseParams = CruiseParams()
     lateral: SteeringParams = SteeringParams()
+    sensors: SensorParams = SensorParams()
 
 
 class Networks(NamedTuple):
@@ -70,21 +73,45 @@ class Networks(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """Everything of one ego that the next control step needs, besides its networks."""
+    """Everything of one ego that the next control step needs, besides its networks.
+
+    position: along the path [m]; pending: (DELAYS, 2) commands [rad], [N m] on their way to the actuators, a ring by
+    tick, changed in place.
+    """
 
     vehicle: VehicleState
     cruise: CruiseMemory
     steering: SteeringMemory
-    position: float  # m along the path
+    position: float
+    pending: np.ndarray
 
 
 class Clock(NamedTuple):
-    """Integer time: `tick` counts control periods; `period` [s] holds `substeps` plant steps of `plant_step` [s]."""
+    """Integer time: `tick` counts control periods; `period` [s] holds `substeps` plant steps of `plant_step` [s].
+
+    delay: control periods that a command needs to reach the actuators, below DELAYS.
+    """
 
     tick: int
     period: float
     substeps: int
     plant_step: float
+    delay: int = 0
+
+
+class References(NamedTuple):
+    """What to follow and what disturbs the view over n control periods.
+
+    path: Path that the errors of the trace refer to; driven: Path that the controller follows, the same or a
+    conditioned one; speeds: (n + 1,) speed reference [m/s] at the borders of the periods; accels: (n,) acceleration
+    reference [m/s2] within each; noise: (n, CHANNELS) standard normal numbers.
+    """
+
+    path: Path
+    driven: Path
+    speeds: np.ndarray
+    accels: np.ndarray
+    noise: np.ndarray
 
 
 def blank_networks(params: ControlParams) -> Networks:
@@ -99,34 +126,25 @@ def start(vehicle, state: VehicleState, position: float, full: bool) -> LoopStat
     """State of a loop that takes over a rolling vehicle: the plain PID starts at the trim of drag and rolling."""
     achieved = state.torque / (vehicle.wheel_radius * vehicle.mass)
     trim = 0.0 if full else float(resistance(vehicle, state.speed_long))
-    motion = Motion(state.speed_long, state.accel_long, 0.0, achieved)
-    return LoopState(state, rolling_memory(state.speed_long, motion, trim), SteeringMemory(0.0), position)
+    motion = Motion(state.speed_long, state.accel_long, 0.0, achieved, position)
+    pending = np.tile((state.steer, state.torque), (DELAYS, 1))
+    return LoopState(state, rolling_memory(state.speed_long, motion, trim), SteeringMemory(0.0), position, pending)
+
+
+def quiet_references(path: Path, speeds: np.ndarray, accels: np.ndarray) -> References:
+    """References without noise and without conditioning."""
+    return References(path, path, speeds, accels, np.zeros((accels.size, CHANNELS)))
 
 
 @njit
-def closed_loop(
-    vehicle,
-    control,
-    disturbance,
-    friction,
-    path,
-    clock,
-    speeds,
-    accels,
-    state,
-    speed_net,
-    steering_net,
-    trace,
-):
-    """Drive `accels.size` control periods and write one row of `trace` at the end of each.
+def closed_loop(vehicle, control, disturbance, friction, clock, references, state, speed_net, steering_net, trace):
+    """Drive `references.accels.size` control periods and write one row of `trace` at the end of each.
 
     Args:
         vehicle: VehicleParams; control: ControlParams; disturbance: DisturbanceParams.
         friction: of the road [-].
-        path: Path to follow.
         clock: Clock of the first period.
-        speeds: (n + 1,) speed reference [m/s] at the borders of the periods.
-        accels: (n,) acceleration reference [m/s2] within each period.
+        references: References.
         state: LoopState.
         speed_net, steering_net: EmranMemory, changed in place.
         trace: (n, WIDTH) rows, columns named by TRACE.
@@ -134,30 +152,27 @@ def closed_loop(
     Returns:
         (LoopState, status, rows written); status is RUNNING, DIVERGED or PATH_ENDED.
     """
-    car, cruise_memory, steering_memory = state.vehicle, state.cruise, state.steering
-    period = clock.period
+    car, cruise_memory, steering_memory, pending = state.vehicle, state.cruise, state.steering, state.pending
+    period, periods, path = clock.period, references.accels.size, references.driven
     point = nearest(path, car.x, car.y, state.position)
-    for k in range(accels.size):
-        time = (clock.tick + k) * period
+    for k in range(periods):
+        tick = clock.tick + k
+        time = tick * period
         env = _environment(disturbance, friction, path, time, point.position, car.speed_long)
-        cross_track, heading = tracking_errors(point, car.x, car.y, car.yaw)
-        motion = _motion(vehicle, car, env)
+        seen = measured_state(control.sensors, references.noise[k], car, point.yaw)
+        cross_track, heading = tracking_errors(point, seen.x, seen.y, seen.yaw)
+        motion = _motion(vehicle, control.sensors, references.noise[k], car, seen, env, point.position)
         push, cruise_memory = cruise(
-            control.longitudinal, speed_net, vehicle, cruise_memory, motion, speeds[k], accels[k], period
-        )
+            control.longitudinal, speed_net, vehicle, cruise_memory, motion,
+            references.speeds[k], references.accels[k], period,
+        )  # fmt: skip
         turn, steering_memory = track(
-            control.lateral,
-            steering_net,
-            vehicle,
-            steering_memory,
-            car,
-            path,
-            point,
-            cross_track,
-            heading,
-            period,
+            control.lateral, steering_net, vehicle, steering_memory, seen, path, point, cross_track, heading, period
         )
-        actuation = Actuation(turn.angle, vehicle.mass * vehicle.wheel_radius * push.accel)
+        pending[tick % DELAYS, 0] = turn.angle
+        pending[tick % DELAYS, 1] = vehicle.mass * vehicle.wheel_radius * push.accel
+        arrived = (tick - clock.delay) % DELAYS
+        actuation = Actuation(pending[arrived, 0], pending[arrived, 1])
         for j in range(clock.substeps):
             now = time + j * clock.plant_step
             travelled = point.position + car.speed_long * j * clock.plant_step
@@ -165,17 +180,18 @@ def closed_loop(
             car = step(vehicle, car, actuation, env, clock.plant_step)
         point = nearest(path, car.x, car.y, point.position + car.speed_long * period)
         row = trace[k]
-        row[AT.time] = (clock.tick + k + 1) * period
+        row[AT.time] = (tick + 1) * period
         _write_car(row, vehicle, car, env)
         _write_control(row, turn, push)
-        _write_reference(row, car, point, speeds[k + 1], accels[k])
+        shown = nearest(references.path, car.x, car.y, point.position)
+        _write_reference(row, car, shown, references.speeds[k + 1], references.accels[k])
         _write_networks(row, push, turn, speed_net, steering_net)
-        state = LoopState(car, cruise_memory, steering_memory, point.position)
+        state = LoopState(car, cruise_memory, steering_memory, point.position, pending)
         if _lost(row[AT.cross_track_error], row[AT.heading_error], car):
             return state, DIVERGED, k + 1
         if point.position >= path_length(path) - 1e-6:
             return state, PATH_ENDED, k + 1
-    return state, RUNNING, accels.size
+    return state, RUNNING, periods
 
 
 @njit
@@ -186,11 +202,13 @@ def _environment(disturbance, friction, path, time, position, speed):
 
 
 @njit
-def _motion(vehicle, car, env):
-    """What the sensors say; the centripetal part of the accelerometer is known from yaw rate and side speed."""
+def _motion(vehicle, sensors, noise, car, seen, env, position):
+    """What the longitudinal sensors say; the centripetal part of the accelerometer is known from the side speed."""
     f = forces(vehicle, car, env)
     achieved = car.torque / (vehicle.wheel_radius * vehicle.mass)
-    return Motion(car.speed_long, f.accel_long + car.speed_lat * car.yaw_rate, env.pitch_rate, achieved)
+    specific_force = f.accel_long + seen.speed_lat * seen.yaw_rate + sensors.accel * noise[5]
+    pitch_rate = env.pitch_rate + sensors.pitch_rate * noise[6] + sensors.pitch_rate_bias
+    return Motion(seen.speed_long, specific_force, pitch_rate, achieved, position)
 
 
 @njit

@@ -57,9 +57,9 @@ def verdict(summary: dict[str, Any]) -> str:
     """One sentence: what was driven and how it ended."""
     s = summary["manifest"]["scenario"]
     name = summary["manifest"]["scenario_name"]
-    density = s["traffic"]["density"]
+    where = "open road" if s["world"] == "track" else f"{s['traffic']['density']:g} vehicles/km/lane"
     return (
-        f"{name}, {s['controller']}, seed {s['seed']}, {density:g} vehicles/km/lane: "
+        f"{name}, {s['controller']}, seed {s['seed']}, {where}: "
         f"{summary['ended']}, {summary['reason']}."
     )
 

@@ -3,9 +3,9 @@
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import Field, TypeAdapter, ValidationError
 
 from emran_sumo import locate, shipped
@@ -13,17 +13,19 @@ from emran_sumo.control.cruise import CruiseParams
 from emran_sumo.control.steering import SteeringParams
 from emran_sumo.controllers import CONTROLLERS, DEFAULT
 from emran_sumo.errors import UserError, nearest_name
-from emran_sumo.loop import ControlParams
+from emran_sumo.loop import DELAYS, Clock, ControlParams
 from emran_sumo.plant.disturbance import DisturbanceParams
+from emran_sumo.plant.sensors import SensorParams
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.units import Unit
 from emran_sumo.world.demand import TrafficParams
+from emran_sumo.world.track import TrackParams
 
 FILE = "scenario.toml"
 
 
 class RateParams(NamedTuple):
-    """Steps of the clocks; each is a whole multiple of the one below it.
+    """Steps of the clocks; each is a whole multiple of the one below it. command_delay: whole control steps.
 
     driver_step: how often the drivers of the other vehicles decide (SUMO's action step length).
     """
@@ -32,6 +34,7 @@ class RateParams(NamedTuple):
     sumo_step: Annotated[float, Field(ge=0.01, le=1), Unit("s")] = 0.05
     control_step: Annotated[float, Field(ge=0.001, le=0.1), Unit("s")] = 0.01
     plant_step: Annotated[float, Field(ge=0.0001, le=0.002), Unit("s")] = 0.001
+    command_delay: Annotated[float, Field(ge=0, le=0.15), Unit("s")] = 0.0
 
 
 class RoadParams(NamedTuple):
@@ -45,6 +48,7 @@ class Scenario(NamedTuple):
     """Everything a run needs; sections are records of their own."""
 
     title: str = ""
+    world: Literal["sumo", "track"] = "sumo"
     network: str = ""
     routes: tuple[str, ...] = ()
     ego: str = "ego"
@@ -55,15 +59,23 @@ class Scenario(NamedTuple):
     rates: RateParams = RateParams()
     road: RoadParams = RoadParams()
     traffic: TrafficParams = TrafficParams()
+    track: TrackParams = TrackParams()
     vehicle: VehicleParams = VehicleParams()
     longitudinal: CruiseParams = CruiseParams()
     lateral: SteeringParams = SteeringParams()
+    sensors: SensorParams = SensorParams()
     disturbance: DisturbanceParams = DisturbanceParams()
 
     @property
     def control(self) -> ControlParams:
         """Parameters of both halves of the controller."""
-        return ControlParams(self.longitudinal, self.lateral)
+        return ControlParams(self.longitudinal, self.lateral, self.sensors)
+
+    def clock(self, tick: int = 0) -> Clock:
+        """Clock at control period `tick`."""
+        r = self.rates
+        delay = round(r.command_delay / r.control_step)
+        return Clock(tick, r.control_step, round(r.control_step / r.plant_step), r.plant_step, delay)
 
 
 class Located(NamedTuple):
@@ -105,28 +117,38 @@ def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> L
     file = find(name)
     given = _flat(_read(file))
     origin = dict.fromkeys(given, str(file))
-    for key, (value, where) in (overrides or {}).items():
-        given[key], origin[key] = value, where
+    for name_given, (value, where) in (overrides or {}).items():
+        changed = _flat({name_given: value})
+        given |= changed
+        origin |= dict.fromkeys(changed, where)
     controller = given.get("controller", DEFAULT)
-    if controller not in CONTROLLERS:
+    if not isinstance(controller, str) or controller not in CONTROLLERS:
         hint = nearest_name(str(controller), list(CONTROLLERS))
-        where = origin.get("controller", file)
-        raise UserError(f'{where}: controller: found "{controller}". {hint}')
-    preset = dict(CONTROLLERS[controller][1])
+        raise UserError(f"{origin['controller']}: controller: found {_shown(controller)}. {hint}")
     known = dict.fromkeys(_leaves(Scenario))
     for key in given:
         if key not in known:
-            raise UserError(f'{origin[key]}: unknown key "{key}". {nearest_name(key, list(known))}')
-    values = _tree({**_flat(to_dict(Scenario())), **preset, **given})
+            raise UserError(f"{origin[key]}: {_unknown(key, given[key], list(known))}")
     try:
-        scenario = _ADAPTER.validate_python(values, strict=True)
+        scenario = build(given)
     except ValidationError as error:
         raise UserError(_sentence(error, origin, file)) from None
     _check_rates(scenario.rates, origin, file)
-    if not scenario.network or not scenario.routes:
+    if scenario.world == "sumo" and not (scenario.network and scenario.routes):
         missing = "network" if not scenario.network else "routes"
         raise UserError(f'{file}: key "{missing}" is missing; it names the file of the {missing}.')
     return Located(file.parent.name if file.name == FILE else file.stem, file.parent, scenario)
+
+
+def build(given: dict[str, Any]) -> Scenario:
+    """Scenario of dotted keys over the values of the controller that they name, over the defaults.
+
+    Raises:
+        pydantic.ValidationError: a value is not accepted.
+    """
+    preset = CONTROLLERS[given.get("controller", DEFAULT)][1]
+    values = _tree({**_flat(to_dict(Scenario())), **preset, **given})
+    return _ADAPTER.validate_python(values, strict=True)
 
 
 def to_dict(record: Any) -> dict[str, Any]:
@@ -184,6 +206,29 @@ def _leaves(record: type, prefix: str = "") -> dict[str, Any]:
     return found
 
 
+def _unknown(key: str, value: object, known: list[str]) -> str:
+    """Sentence about a key that is none: the name of a section, or misspelled."""
+    inside = [name.removeprefix(f"{key}.") for name in known if name.startswith(f"{key}.")]
+    if inside:
+        return f"{key}: found {_shown(value)}; accepted is a table of keys: {_firsts(inside)}."
+    section = key.rpartition(".")[0]
+    beside = [name.removeprefix(f"{section}.") for name in known if not section or name.startswith(f"{section}.")]
+    return f'unknown key "{key}". {nearest_name(key, known, _firsts(beside or known))}'
+
+
+def _firsts(names: list[str]) -> str:
+    """The first parts of dotted keys, each once."""
+    return ", ".join(dict.fromkeys(name.partition(".")[0] for name in names))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def keys() -> dict[str, str]:
     """Every dotted key with what it accepts."""
     return {key: accepted(annotation) for key, annotation in _leaves(Scenario).items()}
@@ -193,29 +238,28 @@ def accepted(annotation: Any) -> str:
     """What an annotated field accepts, in words: kind, range and unit."""
     kind, *notes = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
     words = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
-    text = words.get(kind, "a list of texts")
+    text = words.get(kind, "a list of numbers" if kind == tuple[float, ...] else "a list of texts")
+    if get_origin(kind) is Literal:
+        text = " or ".join(get_args(kind))
     unit = next((note.symbol for note in notes if isinstance(note, Unit)), "")
     low, high = None, None
     for note in notes:
         for bound in getattr(note, "metadata", [note]):
             if isinstance(bound, Ge | Gt):
-                low = f"from {bound.ge:g}" if isinstance(bound, Ge) else f"above {bound.gt:g}"
+                low = f"from {bound.ge:.10g}" if isinstance(bound, Ge) else f"above {bound.gt:.10g}"
             if isinstance(bound, Le | Lt):
-                high = f"to {bound.le:g}" if isinstance(bound, Le) else f"below {bound.lt:g}"
+                high = f"to {bound.le:.10g}" if isinstance(bound, Le) else f"below {bound.lt:.10g}"
+            if isinstance(bound, MinLen):
+                low = "that is not empty"
     text = " ".join(part for part in (text, low, high) if part)
     return f"{text} {unit}" if unit not in ("", "-", "on/off") else text
 
 
 def _sentence(error: ValidationError, origin: dict[str, str], file: Path) -> str:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    annotation = _leaves(Scenario).get(key)
-    found = first["input"]
-    shown = f'"{found}"' if isinstance(found, str) else str(found).lower() if found is True or found is False else found
-    wanted = f"accepted is {accepted(annotation)}" if annotation is not None else first["msg"]
-    if annotation is None:
-        wanted = "accepted is a table of keys"
-    return f"{origin.get(key, file)}: {key}: found {shown}; {wanted}."
+    key = ".".join(part for part in first["loc"] if isinstance(part, str))  # without the place in a list
+    wanted = accepted(_leaves(Scenario)[key])
+    return f"{origin.get(key, file)}: {key}: found {_shown(first['input'])}; accepted is {wanted}."
 
 
 def _check_rates(rates: RateParams, origin: dict[str, str], file: Path) -> None:
@@ -230,3 +274,10 @@ def _check_rates(rates: RateParams, origin: dict[str, str], file: Path) -> None:
             raise UserError(
                 f"{where}: {key}: found {slow:g} s; accepted is a whole multiple of {fast_key} ({fast:g} s)."
             )
+    periods = rates.command_delay / rates.control_step
+    if not math.isclose(periods, round(periods), abs_tol=1e-9) or round(periods) >= DELAYS:
+        key = "rates.command_delay"
+        raise UserError(
+            f"{origin.get(key, file)}: {key}: found {rates.command_delay:g} s; accepted is a whole multiple of "
+            f"rates.control_step ({rates.control_step:g} s), at most {DELAYS - 1} of them."
+        )

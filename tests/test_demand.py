@@ -9,7 +9,9 @@ import libsumo
 import pytest
 
 from emran_sumo.locate import folder
-from emran_sumo.world.demand import TrafficParams, departures, main_lanes, write_demand
+from emran_sumo.world.demand import TrafficParams, write_demand
+from emran_sumo.world.network import main_lanes
+from emran_sumo.world.routes import departures
 
 NET = folder("networks") / "highway" / "highway.net.xml"
 ROUTES = folder("scenarios") / "highway_dlc" / "highway_dlc.rou.xml"

@@ -20,8 +20,10 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
-from emran_sumo.recording import layout, road
-from emran_sumo.recording.recorder import EgoShape, Recorder
+from emran_sumo.recording import colors, plots, road
+from emran_sumo.recording.car import EgoShape
+from emran_sumo.recording.layout import TABS
+from emran_sumo.recording.recorder import Recorder
 from emran_sumo.recording.table import read_trace, read_units, write_trace
 from emran_sumo.world.records import Lane, Road, Traffic
 
@@ -236,8 +238,8 @@ def test_two_equal_drives_make_equal_files_and_another_drive_a_different_one(tmp
 def test_every_plotted_curve_reads_back_as_the_trace_at_exact_times(recorded, trace):
     expected = trace[1::2]  # 50 Hz of 100 Hz
     units = {"": 1.0, "deg": 180 / np.pi, "percent": 100.0, "kN": 1e-3}
-    assert len(layout.CURVES) > 30
-    for curve in layout.CURVES:
+    assert len(plots.CURVES) > 30
+    for curve in plots.CURVES:
         times, values = rows_of(recorded, "/plots/ego", f"trace:{curve.component}")
         np.testing.assert_array_equal(times, np.arange(20, 20001, 20) * 1_000_000)
         column = expected[:, COLUMNS.index(curve.column)] * units[curve.unit]
@@ -245,8 +247,8 @@ def test_every_plotted_curve_reads_back_as_the_trace_at_exact_times(recorded, tr
 
 
 def test_every_plot_of_the_layout_is_on_a_tab_and_every_tab_shows_plots_that_exist():
-    shown = {plot for rows in layout._TABS.values() for row in rows for plot in row}
-    assert shown == set(layout.PLOTS)
+    shown = {plot for rows in TABS.values() for row in rows for plot in row}
+    assert shown == set(plots.PLOTS)
 
 
 def test_ego_and_traffic_stand_where_they_were_at_the_same_instants(recorded, trace):
@@ -274,8 +276,8 @@ def test_an_instant_without_vehicles_clears_the_traffic(tmp_path):
 
 
 def test_faster_traffic_is_never_redder_and_the_ends_are_red_and_blue():
-    colors = layout.speed_colors(np.array([0.0, 8.0, 16.0, 24.0, 32.0, 60.0]))
-    assert [hex(c) for c in colors] == [
+    shown = colors.speed_colors(np.array([0.0, 8.0, 16.0, 24.0, 32.0, 60.0]))
+    assert [hex(c) for c in shown] == [
         "0xdc322fff", "0xf58c28ff", "0xfad746ff", "0x5fcd82ff", "0x4696ffff", "0x4696ffff",
     ]  # fmt: skip
 
@@ -460,7 +462,7 @@ def test_the_viewer_draws_every_view_without_a_complaint(recorded, tmp_path):
     assert len(views) >= 9
     height, width, _ = picture.shape
     scene = picture[: height // 2, : width // 2]
-    for name, color in (("ego", layout.PINK), ("asphalt", layout.ASPHALT), ("path", layout.TEAL)):
+    for name, color in (("ego", colors.PINK), ("asphalt", colors.ASPHALT), ("path", colors.TEAL)):
         near = np.abs(scene - np.array(color)).max(axis=2) < 25
         assert near.sum() > 30, f"the {name} is not in the picture"
 

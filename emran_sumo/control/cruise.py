@@ -20,13 +20,18 @@ HOLD_DECELERATION = 1.5  # m/s2, on top of what the grade needs
 class CruiseParams(NamedTuple):
     """The longitudinal law and its network.
 
-    With `feedforward` off only the PID acts, on the measured speed: the paper's baseline.
+    preview: how far ahead the acceleration reference is read where the profile is known.
+
+    With `feedforward` off only the PID acts, on the measured speed: the paper's baseline. Its network then learns the
+    paper's own signal u_pid + paper_gain e from the raw inputs position, speed and acceleration.
     """
 
     feedforward: Annotated[bool, Unit("on/off")] = True
+    paper_gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 1.0
     K_1: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 5.649
     lag: Annotated[float, Field(gt=0, le=2), Unit("s")] = 0.1
     lead_filter: Annotated[float, Field(gt=0, le=2), Unit("s")] = 0.0601
+    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.0507
     grade_lead: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.0755
     observer_speed: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 4.0
     observer_grade: Annotated[float, Field(ge=0, le=90), Unit("1/s^2")] = 4.0
@@ -40,7 +45,7 @@ class CruiseParams(NamedTuple):
         eps_max=0.8476,
         eps_min=0.4238,
         gamma=0.99,
-        error_delete=0.00889,
+        error_delete=0.0044,
         error_learn=0.00889,
         error_grow=0.01664,
         rms_grow=0.03,
@@ -79,13 +84,14 @@ class Motion(NamedTuple):
     """What the sensors of the longitudinal law say.
 
     speed [m/s]; specific_force [m/s2] along the body, without the centripetal part v_y r; pitch_rate [rad/s];
-    achieved [m/s2]: acceleration the wheels' torque would give on its own.
+    achieved [m/s2]: acceleration the wheels' torque would give on its own; position [m] along the path.
     """
 
     speed: float
     specific_force: float
     pitch_rate: float
     achieved: float
+    position: float
 
 
 class CruiseCommand(NamedTuple):
@@ -160,12 +166,31 @@ def cruise(params, network, vehicle, memory, motion, speed_reference, accel_refe
     """
     if params.feedforward:
         return _full(params, network, vehicle, memory, motion, speed_reference, accel_reference, period)
+    return _plain(params, network, memory, motion, speed_reference, period)
+
+
+@njit
+def _plain(params, network, memory, motion, speed_reference, period):
+    """The paper's own scheme: PID, and a network that learns u_pid + K e."""
+    emran = params.emran
     error = speed_reference - motion.speed
     law, pid_memory = pid(params.pid, memory.pid, error, motion.achieved - memory.expected, period)
     law, pid_memory = _hold(speed_reference, motion.speed, 0.0, law, pid_memory)
-    command = CruiseCommand(_limited(params, law), law, 0.0, 0.0, False)
-    expected = memory.expected + period / (params.lag + period) * (law - memory.expected)
-    return command, CruiseMemory(motion.speed, 0.0, motion.specific_force, law, law, expected, pid_memory)
+    net, signal, learned = 0.0, 0.0, False
+    if emran.authority > 0.0:
+        inputs = np.empty(INPUTS)
+        inputs[0], inputs[1], inputs[2] = motion.position, motion.speed, motion.specific_force
+        signal = law + params.paper_gain * error
+        output = predict(emran, network, inputs)
+        if abs(output) < emran.output_max or output * signal < 0.0:
+            learned = learn(emran, network, inputs, signal, 1.0, period)
+            learn_bias(emran, network, signal if learned else 0.0, 1.0, period)
+        net = emran.authority * predict(emran, network, inputs)
+        prune(emran, network, inputs)
+    asked = law + net
+    command = CruiseCommand(_limited(params, asked), law, net, signal, learned)
+    expected = memory.expected + period / (params.lag + period) * (asked - memory.expected)
+    return command, CruiseMemory(motion.speed, 0.0, motion.specific_force, asked, asked, expected, pid_memory)
 
 
 @njit

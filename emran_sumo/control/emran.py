@@ -22,13 +22,16 @@ class EmranParams(NamedTuple):
     fully active its output follows the learning signal at `rate_initial` after birth and `rate_steady` later.
 
         P_0 = R l_0 T / (1 - l_0 T),   q = R (l_s T)^2 / (1 - l_s T),   R = 1
+
+    neurons_max = 0 leaves the bias alone: an integrator of the learning signal. `unsigned` learns from the norm of
+    the signal, as Eq. 15 is printed; it exists to show what that does.
     """
 
     authority: Annotated[float, Field(ge=0, le=1), Unit("-")] = 1.0
     eps_max: Annotated[float, Field(gt=0, le=100), Unit("-")] = 3.422
     eps_min: Annotated[float, Field(gt=0, le=100), Unit("-")] = 2.562
     gamma: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.98
-    error_delete: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00111
+    error_delete: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00055
     error_learn: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00111
     error_grow: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00051
     rms_grow: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00026
@@ -47,7 +50,8 @@ class EmranParams(NamedTuple):
     prune_share: Annotated[float, Field(ge=0, lt=1), Unit("-")] = 0.037
     prune_samples: Annotated[int, Field(ge=1, le=100_000), Unit("samples")] = 81
     merge_distance: Annotated[float, Field(ge=0, le=100), Unit("-")] = 0.77
-    neurons_max: Annotated[int, Field(ge=1, le=200), Unit("neurons")] = 40
+    neurons_max: Annotated[int, Field(ge=0, le=200), Unit("neurons")] = 40
+    unsigned: Annotated[bool, Unit("on/off")] = False
 
 
 class EmranMemory(NamedTuple):
@@ -188,9 +192,11 @@ def _correct(params, memory, k, inputs, error, rate_scale, period):
 
         K = P B / (R + B' P B),   theta += K y_e,   P = (I - K B') P + q I,   R = 1                  (15)-(17)
 
-    Differs: (15) prints the norm of the error, which would learn in one direction only.
+    Differs: (15) prints the norm of the error, which learns in one direction only; `unsigned` does that.
     """
     l = inputs.size + 2
+    if params.unsigned:
+        error = abs(error)
     b, pb = np.empty(l), np.empty(l)
     gradient(memory, k, inputs, b)
     p = memory.covariance[k]

@@ -22,10 +22,13 @@ SLOWEST_SCALED = 7.5  # m/s: learning rates grow no further below this speed
 class SteeringParams(NamedTuple):
     """The lateral law and its network.
 
-    With `feedforward` off Eq. 22 acts alone, on the errors of the front axle: the paper's baseline.
+    With `feedforward` off Eq. 22 acts alone, on the errors of the front axle: the paper's baseline. Its network then
+    learns the paper's own signal delta_s + K_2 e_y + K_3 e_psi from the raw inputs y, psi, v_y and r.
     """
 
     feedforward: Annotated[bool, Unit("on/off")] = True
+    K_2: Annotated[float, Field(ge=-5, le=5), Unit("rad/m")] = 0.0
+    K_3: Annotated[float, Field(ge=-5, le=5), Unit("-")] = 0.0
     gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 3.3585
     softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 1.2817
     yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0702
@@ -45,6 +48,11 @@ class SteeringParams(NamedTuple):
     heading_scale: Annotated[float, Field(ge=0, le=1000), Unit("1/rad")] = 12.91
     speed_lat_scale: Annotated[float, Field(ge=0, le=1000), Unit("s/m")] = 10.432
     yaw_rate_scale: Annotated[float, Field(ge=0, le=1000), Unit("s/rad")] = 14.016
+    conditioning: Annotated[bool, Unit("on/off")] = False
+    cut_sigma: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.065
+    cut_heading_sigma: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.01
+    cut_smoothness: Annotated[float, Field(ge=0, le=1e4), Unit("m^2")] = 100.0
+    cut_max: Annotated[float, Field(ge=0, le=1), Unit("m at 10 m/s")] = 0.042
     emran: EmranParams = EmranParams()
 
 
@@ -125,12 +133,31 @@ def track(params, network, vehicle, memory, state, path, point, cross_track_erro
     """
     if params.feedforward:
         return _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period)
+    return _plain(params, network, vehicle, memory, state, path, point, period)
+
+
+@njit
+def _plain(params, network, vehicle, memory, state, path, point, period):
+    """The paper's own scheme: Stanley at the front axle, and a network that learns delta_s + K e."""
     x = state.x + vehicle.front_axle * math.cos(state.yaw)
     y = state.y + vehicle.front_axle * math.sin(state.yaw)
     front = nearest(path, x, y, point.position + vehicle.front_axle)
     cross_track, heading = tracking_errors(front, x, y, state.yaw)
     law = stanley(params.gain, params.softening, cross_track, heading, state.speed_long)
-    return SteeringCommand(_limited(vehicle, law), law, 0.0, 0.0, False), memory
+    emran = params.emran
+    if emran.authority <= 0.0:
+        return SteeringCommand(_limited(vehicle, law), law, 0.0, 0.0, False), memory
+    signal = law + params.K_2 * cross_track + params.K_3 * heading
+    inputs = np.empty(INPUTS)
+    inputs[0], inputs[1], inputs[2], inputs[3] = state.y, state.yaw, state.speed_lat, state.yaw_rate
+    output = predict(emran, network, inputs)
+    learned = False
+    if abs(output) < emran.output_max or output * signal < 0.0:
+        learned = learn(emran, network, inputs, signal, 1.0, period)
+        learn_bias(emran, network, signal if learned else 0.0, 1.0, period)
+    part = emran.authority * predict(emran, network, inputs)
+    prune(emran, network, inputs)
+    return SteeringCommand(_limited(vehicle, law + part), law, part, signal, learned), memory
 
 
 @njit

@@ -6,6 +6,7 @@ Everything is deterministic and neutral by default.
 import math
 from typing import Annotated, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from emran_sumo.kernels import njit
@@ -71,6 +72,11 @@ class DisturbanceParams(NamedTuple):
     inertia_frequency: Annotated[float, Field(ge=0), Unit("rad/s")] = 1.0
     stiffness_front: Annotated[float, Field(ge=0.2, le=3), Unit("")] = 1.0
     stiffness_rear: Annotated[float, Field(ge=0.2, le=3), Unit("")] = 1.0
+    stiffness_amplitude: Annotated[float, Field(ge=0, lt=0.8), Unit("")] = 0.0
+    stiffness_frequency: Annotated[float, Field(ge=0), Unit("rad/s")] = 1.0
+    mass_draw: Annotated[float, Field(ge=0, le=0.5), Unit("")] = 0.0  # half width of a random factor around 1
+    inertia_draw: Annotated[float, Field(ge=0, le=0.5), Unit("")] = 0.0
+    stiffness_draw: Annotated[float, Field(ge=0, le=0.5), Unit("")] = 0.0
 
     steer_effectiveness: Annotated[float, Field(ge=0, le=1.5), Unit("")] = 1.0
     steer_effectiveness_start: Annotated[float, Field(ge=0), Unit("s")] = 0.0
@@ -120,6 +126,7 @@ def environment(params, base_friction, base_grade, base_grade_slope, time, posit
     second, second_rate = _pulse(time, p.grade_return_start, p.grade_duration, p.grade_transition)
     gust = _pulse(time, p.gust_start, p.gust_duration, p.gust_rise)[0]
     force_gust = p.gust_force * gust
+    stiffness = 1.0 + p.stiffness_amplitude * math.sin(p.stiffness_frequency * time)
     force_constant = p.lateral_force if time >= p.lateral_force_start else 0.0
     return Environment(
         friction=friction,
@@ -130,9 +137,20 @@ def environment(params, base_friction, base_grade, base_grade_slope, time, posit
         moment_yaw=p.gust_arm * force_gust,
         mass_factor=p.mass_factor * (1.0 + p.mass_amplitude * math.sin(p.mass_frequency * time)),
         inertia_factor=p.inertia_factor * (1.0 + p.inertia_amplitude * math.sin(p.inertia_frequency * time)),
-        stiffness_front_factor=p.stiffness_front,
-        stiffness_rear_factor=p.stiffness_rear,
+        stiffness_front_factor=p.stiffness_front * stiffness,
+        stiffness_rear_factor=p.stiffness_rear * stiffness,
         steer_effectiveness=p.steer_effectiveness if time >= p.steer_effectiveness_start else 1.0,
         torque_effectiveness=p.torque_effectiveness if time >= p.torque_effectiveness_start else 1.0,
         wind_lat=p.gust_speed * gust,
+    )
+
+
+def drawn(params: DisturbanceParams, seed: int) -> DisturbanceParams:
+    """The parameters with the random factors of `*_draw` multiplied in, the same for the same seed."""
+    mass, inertia, front, rear = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, 4)
+    return params._replace(
+        mass_factor=params.mass_factor * (1.0 + params.mass_draw * mass),
+        inertia_factor=params.inertia_factor * (1.0 + params.inertia_draw * inertia),
+        stiffness_front=params.stiffness_front * (1.0 + params.stiffness_draw * front),
+        stiffness_rear=params.stiffness_rear * (1.0 + params.stiffness_draw * rear),
     )

@@ -1,117 +1,16 @@
-"""How a run is shown: its plots, its colors, and the layout that every file carries."""
+"""How a run is arranged on the screen: the layout that every file carries."""
 
-from collections.abc import Iterable
-from typing import NamedTuple
-
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
+from emran_sumo.recording.colors import LEGEND, NIGHT, packed
+from emran_sumo.recording.plots import ARCHETYPE, PLOTS, Curve, Plot
+
 TIMELINE = "sim_time"
-ARCHETYPE = "trace"  # prefix of the component names of all curves
-
-# Mid luminance, so that lines stay legible in the dark and in the light theme of the viewer.
-PINK, SLATE, TEAL, AMBER = (244, 63, 160), (148, 163, 184), (45, 190, 175), (245, 158, 11)
-VIOLET, BLUE, RED, GREEN = (155, 120, 250), (14, 165, 233), (239, 80, 80), (34, 170, 100)
-NIGHT, ASPHALT, PAINT = (15, 18, 24), (44, 49, 58), (226, 232, 240)
-
-SPEED_STOPS = np.array([0.0, 8.0, 16.0, 24.0, 32.0])  # m/s
-SPEED_COLORS = np.array([(220, 50, 47), (245, 140, 40), (250, 215, 70), (95, 205, 130), (70, 150, 255)], dtype=float)
-LEGEND = "traffic by speed: red 0, orange 8, yellow 16, green 24, blue 32 m/s"
-
-_SCALES = {"": 1.0, "deg": 180.0 / np.pi, "percent": 100.0, "kN": 1e-3}
-
-
-class Curve(NamedTuple):
-    """One line of a plot: a trace column, shown in SI units or in `unit` (deg, percent, kN)."""
-
-    column: str
-    label: str
-    color: tuple[int, int, int]
-    unit: str = ""
-
-    @property
-    def component(self) -> str:
-        """Its name in the file: the trace column, and the unit where it is not the SI unit."""
-        return f"{self.column}_{self.unit}" if self.unit else self.column
-
-    @property
-    def scale(self) -> float:
-        return _SCALES[self.unit]
-
-
-class Plot(NamedTuple):
-    """One plot of several curves; `steps`: counts, drawn as stairs."""
-
-    title: str
-    curves: tuple[Curve, ...]
-    steps: bool = False
-
-
-def _axles(name: str, unit: str = "") -> tuple[Curve, ...]:
-    return (Curve(f"{name}_front", "front", BLUE, unit), Curve(f"{name}_rear", "rear", AMBER, unit))
-
-
-def _networks(name: str) -> tuple[Curve, ...]:
-    return (
-        Curve(f"{name}_steering", "steering network", VIOLET),
-        Curve(f"{name}_speed", "speed network", TEAL),
-    )
-
-
-def _structure(network: str) -> tuple[Curve, ...]:
-    return (
-        Curve(f"grown_{network}", "grown", GREEN),
-        Curve(f"pruned_{network}", "pruned", RED),
-        Curve(f"merged_{network}", "merged", BLUE),
-    )
-
-
-PLOTS = {
-    "speed": Plot("Speed [m/s]", (Curve("speed_long", "actual", PINK), Curve("speed_reference", "reference", SLATE))),
-    "speed_error": Plot("Speed error [m/s]", (Curve("speed_error", "speed error", RED),)),
-    "cross_track_error": Plot(
-        "Cross-track error [m], positive: path lies to the left",
-        (Curve("cross_track_error", "cross-track error", RED),),
-    ),
-    "heading_error": Plot("Heading error [deg]", (Curve("heading_error", "heading error", RED, "deg"),)),
-    "steering": Plot(
-        "Steering angle, command = law + network [deg]",
-        (
-            Curve("steer_law", "law", AMBER, "deg"),
-            Curve("steer_network", "network", VIOLET, "deg"),
-            Curve("steer_command", "command", BLUE, "deg"),
-            Curve("steer", "actual", PINK, "deg"),
-        ),
-    ),
-    "acceleration": Plot(
-        "Acceleration, command = law + network [m/s²]",
-        (
-            Curve("accel_law", "law", AMBER),
-            Curve("accel_network", "network", VIOLET),
-            Curve("accel_command", "command", BLUE),
-            Curve("accel_long", "actual", PINK),
-        ),
-    ),
-    "torque": Plot("Wheel torque [N m]", (Curve("torque", "torque", BLUE),)),
-    "yaw_rate": Plot("Yaw rate [deg/s]", (Curve("yaw_rate", "yaw rate", PINK, "deg"),)),
-    "accel_lat": Plot("Lateral acceleration [m/s²]", (Curve("accel_lat", "lateral acceleration", PINK),)),
-    "slip_ratio": Plot("Slip ratio [%]", _axles("slip_ratio", "percent")),
-    "slip_angle": Plot("Slip angle [deg]", _axles("slip_angle", "deg")),
-    "load": Plot("Axle load [kN]", _axles("load", "kN")),
-    "friction_use": Plot("Friction use, 1 = at the limit", _axles("friction_use")),
-    "signal_steering": Plot("Learning signal, steering [deg]", (Curve("signal_steering", "steering", VIOLET, "deg"),)),
-    "signal_speed": Plot("Learning signal, speed [m/s²]", (Curve("signal_speed", "speed", TEAL),)),
-    "neurons": Plot("Neurons", _networks("neurons"), steps=True),
-    "learned": Plot("Samples learned so far", _networks("learned"), steps=True),
-    "structure_steering": Plot("Steering network: neurons so far", _structure("steering"), steps=True),
-    "structure_speed": Plot("Speed network: neurons so far", _structure("speed"), steps=True),
-}
-CURVES = tuple(curve for plot in PLOTS.values() for curve in plot.curves)
 
 # Tab -> rows of plots; more than four rows do not fit a window of 1080 pixels.
-_TABS = {
+TABS = {
     "Overview": (("speed",), ("cross_track_error",), ("steering",), ("neurons",)),
     "Tracking": (("cross_track_error",), ("heading_error",), ("speed",), ("speed_error",)),
     "Networks": (
@@ -123,38 +22,6 @@ _TABS = {
     "Tires": (("slip_ratio",), ("slip_angle",), ("load",), ("friction_use",)),
     "Motion": (("acceleration",), ("torque",), ("yaw_rate",), ("accel_lat",)),
 }
-
-STATES = {
-    "maneuver": {
-        "keep lane": (51, 65, 85),
-        "change left": (14, 116, 144),
-        "change right": (109, 40, 217),
-        "waiting for a gap": (180, 83, 9),
-    },
-    "learning": {"off": (71, 85, 105), "learning": (91, 33, 182), "settled": (22, 101, 52)},
-}
-
-EVENT_COLORS = {"DEBUG": SLATE, "INFO": BLUE, "WARN": AMBER, "ERROR": RED}
-
-
-def packed(colors: Iterable[tuple[int, int, int]]) -> np.ndarray:
-    """Opaque 0xRRGGBBAA of (n, 3) colors in 0..255, the one form Rerun cannot misread."""
-    rgb = np.asarray(list(colors), dtype=np.uint32).reshape(-1, 3)
-    return (rgb[:, 0] << 24) | (rgb[:, 1] << 16) | (rgb[:, 2] << 8) | np.uint32(255)
-
-
-def _speed_scale() -> np.ndarray:
-    speeds = np.arange(0.0, SPEED_STOPS[-1] + 0.25, 0.5)
-    return packed(np.column_stack([np.interp(speeds, SPEED_STOPS, c) for c in SPEED_COLORS.T]).astype(int))
-
-
-_SPEED_SCALE = _speed_scale()
-
-
-def speed_colors(speed: np.ndarray) -> np.ndarray:
-    """(n,) packed colors of speeds [m/s], in steps of 0.5 m/s, so that steady traffic compresses well."""
-    step = np.rint(2.0 * np.asarray(speed)).astype(np.int64)
-    return _SPEED_SCALE[np.clip(step, 0, len(_SPEED_SCALE) - 1)]
 
 
 def layout(bounds: tuple[float, float, float, float]) -> rrb.Blueprint:
@@ -171,7 +38,7 @@ def layout(bounds: tuple[float, float, float, float]) -> rrb.Blueprint:
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.Tabs(*(_tab(name, entities) for name, entities in _TABS.items()), active_tab=0),
+        rrb.Tabs(*(_tab(name, entities) for name, entities in TABS.items()), active_tab=0),
         row_shares=[1, 4.3],
     )
     return rrb.Blueprint(

@@ -13,7 +13,10 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from emran_sumo.recording import layout
+from emran_sumo.recording.car import EgoShape, draw_ego
+from emran_sumo.recording.colors import PINK, TEAL, packed, speed_colors
+from emran_sumo.recording.layout import TIMELINE, layout
+from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
 from emran_sumo.recording.road import draw_road, road_shapes
 from emran_sumo.world.records import Road, Traffic
 
@@ -24,17 +27,6 @@ REFERENCE_POINTS = 16  # points of the path ahead that are drawn
 # Positions of the traffic are rounded to 1/64 m, its turns to 1/4096: invisible, and a fifth smaller.
 _GRID, _TURN = 64.0, 4096.0
 _MILLISECOND = 1_000_000  # ns
-
-
-class EgoShape(NamedTuple):
-    """Outline of the ego [m]; front_axle: ahead of the center of gravity, front_overhang: ahead of that."""
-
-    length: float
-    width: float
-    height: float
-    wheelbase: float
-    front_axle: float
-    front_overhang: float
 
 
 class Recorder:
@@ -68,8 +60,7 @@ class Recorder:
     ) -> None:
         self._column = {column: i for i, column in enumerate(columns)}
         self._curves = [
-            (rr.ComponentDescriptor(f"{layout.ARCHETYPE}:{c.component}"), self._index(c.column), c.scale)
-            for c in layout.CURVES
+            (rr.ComponentDescriptor(f"{ARCHETYPE}:{c.component}"), self._index(c.column), c.scale) for c in CURVES
         ]
         self._pose = [self._index(c) for c in ("x", "y", "yaw", "reference_yaw", "steer")]
         self._time = self._index("time")
@@ -86,11 +77,12 @@ class Recorder:
         self._stream = rr.RecordingStream(application, recording_id=recording, send_properties=False)
         self._stream.save(str(file))
         self._stream.set_log_time_enabled(False)
-        self._stream.send_blueprint(layout.layout(shapes.bounds), make_active=True, make_default=True)
+        self._stream.send_blueprint(layout(shapes.bounds), make_active=True, make_default=True)
         self._stream.send_recording_name(name)
         self._static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         draw_road(self._stream, shapes)
-        self._draw_ego(ego)
+        draw_ego(self._stream, ego)
+        self._style_moving()
         self._describe_states()
         self._summary(f"**{name}**: not finished, its run is still going on or was killed")
         self._stream.flush()
@@ -133,8 +125,8 @@ class Recorder:
 
     def event(self, time: float, level: str, text: str) -> None:
         """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
-        if level not in layout.EVENT_COLORS:
-            raise ValueError(f"event level {level!r} is none of {', '.join(layout.EVENT_COLORS)}")
+        if level not in EVENT_COLORS:
+            raise ValueError(f"event level {level!r} is none of {', '.join(EVENT_COLORS)}")
         self._events.append((round(time * 1e3), level, text))
 
     def state(self, time: float, name: str, value: str) -> None:
@@ -175,7 +167,7 @@ class Recorder:
             self._send_scene()
         if self._events:
             times, levels, texts = zip(*self._events, strict=True)
-            colors = layout.packed(layout.EVENT_COLORS[level] for level in levels)
+            colors = packed(EVENT_COLORS[level] for level in levels)
             self._send("/events", np.array(times), rr.TextLog.columns(text=texts, level=levels, color=colors))
         for name, changes in self._states.items():
             times, values = zip(*changes, strict=True)
@@ -185,7 +177,7 @@ class Recorder:
     def _send(self, entity: str, milliseconds: np.ndarray, columns: Iterable[rr.ComponentColumn]) -> None:
         # Whole nanoseconds: Rerun truncates times given as floating-point seconds.
         duration = (milliseconds.astype(np.int64) * _MILLISECOND).astype("timedelta64[ns]")
-        self._stream.send_columns(entity, [rr.TimeColumn(layout.TIMELINE, duration=duration)], columns)
+        self._stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=duration)], columns)
 
     def _send_plots(self) -> None:
         rows = np.concatenate(self._rows)
@@ -230,60 +222,22 @@ class Recorder:
             centers=centers.astype(np.float32),
             half_sizes=(np.column_stack((length, width, height)) / 2).astype(np.float32),
             quaternions=np.rint(_turns(yaw) * _TURN) / np.float32(_TURN),
-            colors=layout.speed_colors(speed),
+            colors=speed_colors(speed),
         )
         self._send("/world/traffic", times, columns.partition([part.shape[1] for part in self._traffic]))
 
     def _static(self, entity: str, *shapes: rr.AsComponents) -> None:
         self._stream.log(entity, *shapes, static=True)
 
-    def _draw_ego(self, ego: EgoShape) -> None:
-        pink, teal = layout.packed([layout.PINK]), layout.packed([layout.TEAL])
-        glass, rubber = layout.packed([(120, 20, 75)]), layout.packed([(12, 14, 18)])
-        front, rear = ego.front_axle, ego.front_axle - ego.wheelbase
-        middle = ego.front_axle + ego.front_overhang - ego.length / 2
-        belt, roof = 0.62 * ego.height, ego.height
-        body = rr.Boxes3D(
-            centers=[(middle, 0, (0.25 + belt) / 2), (middle - 0.06 * ego.length, 0, (belt + roof) / 2)],
-            half_sizes=[
-                (ego.length / 2, ego.width / 2 - 0.06, (belt - 0.25) / 2),
-                (0.27 * ego.length, 0.42 * ego.width, (roof - belt) / 2),
-            ],
-            colors=np.concatenate((pink, glass)),
-            fill_mode="solid",
-        )
-        self._static("/world/ego/body", body)
-        cabin, tip, side = middle - 0.06 * ego.length, 0.16 * ego.length, 0.3 * ego.width
-        arrow = [
-            (cabin + tip, 0, roof + 0.03),
-            (cabin - tip, side, roof + 0.03),
-            (cabin - tip, -side, roof + 0.03),
-        ]
-        mesh = rr.Mesh3D(
-            vertex_positions=arrow,
-            triangle_indices=[[0, 1, 2]],
-            vertex_normals=[(0, 0, 1)] * 3,
-            albedo_factor=int(layout.packed([layout.PAINT])[0]),
-        )
-        self._static("/world/ego/heading", mesh)
-        for axle, x in (("front_wheels", front), ("rear_wheels", rear)):
-            y = ego.width / 2 - 0.1
-            wheels = rr.Boxes3D(
-                centers=[(x, y, 0.33), (x, -y, 0.33)],
-                half_sizes=[(0.33, 0.12, 0.33)],
-                colors=rubber,
-                fill_mode="solid",
-            )
-            self._static(f"/world/ego/{axle}", wheels)
-        marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=pink)
-        self._static("/world/ego/marker", marker)
+    def _style_moving(self) -> None:
+        """What never changes about the shapes that move."""
         self._static("/world/traffic", rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
-        self._static("/world/trail", rr.LineStrips3D.from_fields(radii=0.14, colors=pink))
-        self._static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=teal))
+        self._static("/world/trail", rr.LineStrips3D.from_fields(radii=0.14, colors=packed([PINK])))
+        self._static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=packed([TEAL])))
 
     def _describe_states(self) -> None:
-        for name, values in layout.STATES.items():
-            colors = layout.packed(values.values())
+        for name, values in STATES.items():
+            colors = packed(values.values())
             self._static(f"/state/{name}", rr.StateConfiguration(values=list(values), colors=colors))
 
     def _summary(self, text: str) -> None:

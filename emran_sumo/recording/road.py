@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from emran_sumo.recording import layout
+from emran_sumo.recording.colors import ASPHALT, PAINT, SLATE, packed
 from emran_sumo.world.records import Road
 
 ASPHALT_LEVEL, LINE_LEVEL = -0.05, 0.02  # m
@@ -80,7 +80,7 @@ def draw_road(stream: rr.RecordingStream, shapes: RoadShapes) -> None:
     """Log the shapes once, under /world/road for the scene and /world/map for the map."""
     if not len(shapes.triangles):
         return
-    asphalt, paint, gray = layout.packed((layout.ASPHALT, layout.PAINT, layout.SLATE))
+    asphalt, paint, gray = packed((ASPHALT, PAINT, SLATE))
     surface = rr.Mesh3D(
         vertex_positions=shapes.vertices,
         triangle_indices=shapes.triangles,

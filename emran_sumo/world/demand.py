@@ -5,7 +5,6 @@ Vehicles are on the main line from the first instant, since flows alone saturate
 and need minutes; flows at the entries then replace what leaves.
 """
 
-import gzip
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,9 @@ import numpy as np
 from pydantic import Field
 
 from emran_sumo.units import Unit
+from emran_sumo.world.network import Piece, main_lanes
+from emran_sumo.world.routes import Departure, VehicleType, read, route_edges, vehicle_types
 
-_HEAVY = frozenset({"truck", "trailer", "bus", "coach"})
 _JITTER = 0.5  # free gaps vary by this share of their mean
 _EXIT_ROOM = 300.0  # a vehicle that exits has at least this far per lane to cross [m]
 _STEP = 0.1  # reaction time beyond tau that keeps the first steps free of hard braking [s]
@@ -38,39 +38,6 @@ class TrafficParams(NamedTuple):
     through: Annotated[str, Field(min_length=1)] = "through"
     exit: Annotated[str, Field(min_length=1)] = "exit"
     enter: Annotated[str, Field(min_length=1)] = "enter"
-
-
-class Departure(NamedTuple):
-    """Where a vehicle of the scenario appears at t = 0: front bumper at `position` on a lane [m]."""
-
-    edge: str
-    lane: int
-    position: float
-    speed: float
-    length: float
-
-
-class VehicleType(NamedTuple):
-    """What the fill needs of a SUMO vType; `speed_factor` is (mean, deviation, lowest, highest)."""
-
-    id: str
-    probability: float
-    length: float
-    min_gap: float
-    tau: float
-    decel: float
-    max_speed: float
-    speed_factor: tuple[float, float, float, float]
-    heavy: bool
-
-
-class Piece(NamedTuple):
-    """One lane of a chain along the main line; `start` is its arc length along the chain [m]."""
-
-    edge: str
-    lane: int
-    start: float
-    length: float
 
 
 class Placed(NamedTuple):
@@ -100,7 +67,7 @@ def write_demand(
         params: TrafficParams.
         speed_limit: that holds on the main line when the simulation starts [m/s].
         seed: of positions, types and speed factors; what the flows draw depends on SUMO's own seed.
-        ego_departures: places to keep free, see `departures`.
+        ego_departures: places to keep free, see `routes.departures`.
 
     Returns:
         Number of vehicles placed at t = 0.
@@ -111,12 +78,12 @@ def write_demand(
     root = ET.Element("routes")
     count = 0
     if params.density > 0.0:
-        declared = [ET.parse(f).getroot() for f in route_files]
-        types = _types(declared, params.type)
-        through = _route(declared, params.through)
-        leave = _route(declared, params.exit) if params.share_exit > 0.0 else []
+        declared = read(route_files)
+        types = vehicle_types(declared, params.type)
+        through = route_edges(declared, params.through)
+        leave = route_edges(declared, params.exit) if params.share_exit > 0.0 else []
         if params.share_enter > 0.0:
-            _route(declared, params.enter)
+            route_edges(declared, params.enter)
         rng = np.random.default_rng(seed)
         chains = main_lanes(network_file, through)
         for index, chain in enumerate(chains):
@@ -130,71 +97,6 @@ def write_demand(
     ET.indent(root)
     Path(file).write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     return count
-
-
-def departures(route_files: Sequence[Path], ids: Sequence[str], speed_limit: float) -> tuple[Departure, ...]:
-    """Departures at t = 0 of the vehicles `ids`; those that come later need no free place and are left out.
-
-    Raises:
-        ValueError: a vehicle is missing, or its departLane or departPos is not a number.
-    """
-    declared = [ET.parse(f).getroot() for f in route_files]
-    found = {v.get("id"): v for root in declared for v in root.iter("vehicle")}
-    lengths = {t.get("id"): float(t.get("length", 5.0)) for root in declared for t in root.iter("vType")}
-    result = []
-    for name in ids:
-        if name not in found:
-            raise ValueError(f"vehicle {name!r} is in none of the route files")
-        vehicle = found[name]
-        if float(vehicle.get("depart", 0.0)) > 0.0:
-            continue
-        inline = vehicle.find("route")
-        edges = _edges(inline) if inline is not None else _route(declared, vehicle.get("route", ""))
-        try:
-            lane, position = int(vehicle.get("departLane", "")), float(vehicle.get("departPos", ""))
-        except ValueError:
-            raise ValueError(f"vehicle {name!r} needs numbers as departLane and departPos") from None
-        try:
-            speed = float(vehicle.get("departSpeed", 0.0))
-        except ValueError:  # "max", "desired", ...
-            speed = speed_limit
-        edge = edges[int(vehicle.get("departEdge", 0))]
-        result.append(Departure(edge, lane, position, speed, lengths.get(vehicle.get("type"), 5.0)))
-    return tuple(result)
-
-
-def main_limit(network_file: Path) -> float:
-    """Highest speed limit of the network [m/s]."""
-    opened = gzip.open if Path(network_file).suffix == ".gz" else open
-    with opened(network_file, "rb") as stream:
-        return max(float(lane.get("speed", 0.0)) for lane in ET.parse(stream).getroot().iter("lane"))
-
-
-def main_lanes(network_file: Path, edges: Sequence[str]) -> list[tuple[Piece, ...]]:
-    """Chains of connected lanes along `edges`, one for each lane of the first edge, rightmost first."""
-    opened = gzip.open if Path(network_file).suffix == ".gz" else open
-    with opened(network_file, "rb") as stream:
-        net = ET.parse(stream).getroot()
-    length = {lane.get("id", ""): float(lane.get("length", 0.0)) for lane in net.iter("lane")}
-    follow = {}
-    for c in net.iter("connection"):
-        key = (c.get("from"), int(c.get("fromLane", 0)), c.get("to"))
-        follow.setdefault(key, (int(c.get("toLane", 0)), length.get(c.get("via", ""), 0.0)))
-    chains = []
-    first = 0
-    while f"{edges[0]}_{first}" in length:
-        lane, start, chain = first, 0.0, []
-        for edge, following in zip(edges, [*edges[1:], ""], strict=True):
-            chain.append(Piece(edge, lane, start, length[f"{edge}_{lane}"]))
-            if (edge, lane, following) not in follow:
-                break
-            lane, inside = follow[edge, lane, following]
-            start += chain[-1].length + inside
-        chains.append(tuple(chain))
-        first += 1
-    if not chains:
-        raise ValueError(f"edge {edges[0]!r} is not in the network")
-    return chains
 
 
 def _fill(
@@ -343,54 +245,9 @@ def _for_lane(types: list[VehicleType], index: int, lanes: int) -> list[VehicleT
     return [t._replace(probability=t.probability * scale[t.heavy]) for t in types]
 
 
-def _types(declared: list[ET.Element], name: str) -> list[VehicleType]:
-    for root in declared:
-        for d in root.iter("vTypeDistribution"):
-            if d.get("id") == name and len(d):
-                return [_type(t) for t in d.iter("vType")]
-        for t in root.iter("vType"):
-            if t.get("id") == name:
-                return [_type(t)]
-    raise ValueError(f"type {name!r} is declared in none of the route files")
-
-
-def _type(t: ET.Element) -> VehicleType:
-    """Read a vType; what it leaves out takes SUMO's value for passenger cars."""
-    get = t.get
-    factor = get("speedFactor", "1.0")
-    if "(" in factor:
-        numbers = [float(x) for x in factor[factor.index("(") + 1 : factor.index(")")].split(",")]
-    else:
-        numbers = [float(factor), float(get("speedDev", 0.1))]
-    mean, deviation, low, high = (numbers + [0.2, 2.0][len(numbers) - 2 :])[:4]
-    return VehicleType(
-        id=get("id", ""),
-        probability=float(get("probability", 1.0)),
-        length=float(get("length", 5.0)),
-        min_gap=float(get("minGap", 2.5)),
-        tau=float(get("tau", 1.0)),
-        decel=float(get("decel", 4.5)),
-        max_speed=float(get("maxSpeed", 55.55)),
-        speed_factor=(mean, deviation, low, high),
-        heavy=get("vClass", "passenger") in _HEAVY,
-    )
-
-
 def _draw_factor(distribution: tuple[float, float, float, float], rng: np.random.Generator) -> float:
     mean, deviation, low, high = distribution
     for _ in range(100):
         if low <= (value := rng.normal(mean, deviation)) <= high:
             return float(value)
     return float(np.clip(mean, low, high))
-
-
-def _route(declared: list[ET.Element], name: str) -> list[str]:
-    for root in declared:
-        for route in root.iter("route"):
-            if route.get("id") == name:
-                return _edges(route)
-    raise ValueError(f"route {name!r} is declared in none of the route files")
-
-
-def _edges(route: ET.Element) -> list[str]:
-    return route.get("edges", "").split()

@@ -1,8 +1,10 @@
-"""What a world shows of itself: its road, drawn once, and its traffic, one instant at a time."""
+"""What a world and an ego tell each other: road, traffic, poses and intents."""
 
 from typing import NamedTuple
 
 import numpy as np
+
+from emran_sumo.path import Path
 
 
 class Lane(NamedTuple):
@@ -38,3 +40,44 @@ class Traffic(NamedTuple):
     width: np.ndarray  # m
     height: np.ndarray  # m
     speed: np.ndarray  # m/s
+
+
+NOBODY = Traffic((), *(np.zeros(0) for _ in range(7)))
+
+
+class Pose(NamedTuple):
+    """Center of gravity of an ego [m], yaw [rad], speed [m/s] and acceleration [m/s2] along the body."""
+
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    accel: float
+
+
+class Intent(NamedTuple):
+    """What the world wants of an ego in one step: its speed [m/s] at the end.
+
+    Where the profile within the step is known: speeds (n + 1,) [m/s] at the borders of the n control periods and
+    accels (n,) [m/s2], ahead by the lag of the drive.
+    """
+
+    speed: float
+    speeds: np.ndarray | None = None
+    accels: np.ndarray | None = None
+
+
+class TakeOver(NamedTuple):
+    """An ego as the world hands it over.
+
+    pose; path: center of its lane along the route; lane_width [m]; lanes_left, lanes_right: lanes beside its own;
+    params: of the vehicle; route_position: how far along its route the pose is [m].
+    """
+
+    pose: Pose
+    path: Path
+    lane_width: float
+    lanes_left: int
+    lanes_right: int
+    params: dict[str, str]
+    route_position: float

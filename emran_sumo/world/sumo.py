@@ -6,14 +6,13 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import libsumo
 import numpy as np
 
-from emran_sumo.errors import UserError, nearest_name
-from emran_sumo.world.lanes import joined
-from emran_sumo.world.records import Lane, Road, Traffic
+from emran_sumo.errors import UserError
+from emran_sumo.world.lanes import joined, smooth_path
+from emran_sumo.world.records import NOBODY, Intent, Lane, Pose, Road, TakeOver, Traffic
 
 SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
@@ -23,35 +22,6 @@ LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor ada
 LANE_CHANGE_DEFAULT = 1621
 WAIT_FOR_DEPARTURE = 300.0  # s beyond the warm-up
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
-
-
-class Pose(NamedTuple):
-    """Center of gravity of an ego [m], yaw [rad], speed [m/s] and acceleration [m/s2] along the body."""
-
-    x: float
-    y: float
-    yaw: float
-    speed: float
-    accel: float
-
-
-class Intent(NamedTuple):
-    """What SUMO wants of an ego by the end of the step: speed [m/s]."""
-
-    speed: float
-
-
-class TakeOver(NamedTuple):
-    """An ego as SUMO hands it over: pose, center line (n, 3) of its lane along the route, width of that lane [m],
-    number of lanes to either side, its parameters, and how far along its route the pose is [m]."""
-
-    pose: Pose
-    center_line: np.ndarray
-    lane_width: float
-    lanes_left: int
-    lanes_right: int
-    params: dict[str, str]
-    route_position: float
 
 
 class SumoWorld:
@@ -194,7 +164,7 @@ class SumoWorld:
         params = {key: vehicle.getParameter(ego, key) for key in _DOUBLE_LANE_CHANGE}
         return TakeOver(
             pose,
-            self._center_line(ego, lane),
+            smooth_path(self._center_line(ego, lane)),
             libsumo.lane.getWidth(lane),
             libsumo.edge.getLaneNumber(edge) - 1 - index,
             index,
@@ -350,7 +320,7 @@ class SumoWorld:
         seen = libsumo.vehicle.getContextSubscriptionResults(ego)
         ids = [name for name in seen if name != ego and not name.startswith(PHANTOM)]
         if not ids:
-            return Traffic((), *(np.zeros(0) for _ in range(7)))
+            return NOBODY
         raw = np.array(
             [(*seen[i][libsumo.VAR_POSITION], seen[i][libsumo.VAR_ANGLE], seen[i][libsumo.VAR_SPEED]) for i in ids]
         )
@@ -419,29 +389,6 @@ _DOUBLE_LANE_CHANGE = tuple(f"double_lane_change.{key}" for key in ("start", "le
 def version() -> str:
     """Version of SUMO."""
     return libsumo.getVersion()[1].removeprefix("SUMO ")
-
-
-def check_ego(ego: str, route_files: list[Path]) -> None:
-    """Refuse an ego that none of the route files declares.
-
-    Raises:
-        UserError: with the nearest id.
-    """
-    import xml.etree.ElementTree as ET
-
-    found: list[str] = []
-    for file in route_files:
-        try:
-            root = ET.parse(file).getroot()
-        except ET.ParseError as error:
-            raise UserError(f"{file}: not valid XML: {error}.") from None
-        except OSError:
-            raise UserError(f"{file}: no such route file.") from None
-        found += [element.get("id", "") for element in root if element.tag in ("vehicle", "trip")]
-    if ego not in found:
-        names = ", ".join(str(file) for file in route_files)
-        hint = nearest_name(ego, found) if found else "They declare no single vehicle."
-        raise UserError(f'ego: found "{ego}", which is no vehicle of {names}. {hint}')
 
 
 def _shape(lane: str) -> np.ndarray:

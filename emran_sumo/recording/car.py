@@ -1,0 +1,63 @@
+"""The ego as it is drawn: body, wheels and heading, once per file; the recorder moves them."""
+
+from typing import NamedTuple
+
+import rerun as rr
+
+from emran_sumo.recording.colors import GLASS, PAINT, PINK, RUBBER, packed
+
+
+class EgoShape(NamedTuple):
+    """Outline of the ego [m]; front_axle: ahead of the center of gravity, front_overhang: ahead of that."""
+
+    length: float
+    width: float
+    height: float
+    wheelbase: float
+    front_axle: float
+    front_overhang: float
+
+
+def draw_ego(stream: rr.RecordingStream, ego: EgoShape) -> None:
+    """Log the parts once, under /world/ego."""
+    middle = ego.front_axle + ego.front_overhang - ego.length / 2
+    cabin = middle - 0.06 * ego.length
+    stream.log("/world/ego/body", _body(ego, middle, cabin), static=True)
+    stream.log("/world/ego/heading", _arrow(ego, cabin), static=True)
+    for axle, x in (("front_wheels", ego.front_axle), ("rear_wheels", ego.front_axle - ego.wheelbase)):
+        stream.log(f"/world/ego/{axle}", _wheels(x, ego.width / 2 - 0.1), static=True)
+    marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=packed([PINK]))
+    stream.log("/world/ego/marker", marker, static=True)
+
+
+def _body(ego: EgoShape, middle: float, cabin: float) -> rr.Boxes3D:
+    belt, roof = 0.62 * ego.height, ego.height
+    return rr.Boxes3D(
+        centers=[(middle, 0, (0.25 + belt) / 2), (cabin, 0, (belt + roof) / 2)],
+        half_sizes=[
+            (ego.length / 2, ego.width / 2 - 0.06, (belt - 0.25) / 2),
+            (0.27 * ego.length, 0.42 * ego.width, (roof - belt) / 2),
+        ],
+        colors=packed([PINK, GLASS]),
+        fill_mode="solid",
+    )
+
+
+def _arrow(ego: EgoShape, cabin: float) -> rr.Mesh3D:
+    """A triangle on the roof that points ahead."""
+    tip, side, level = 0.16 * ego.length, 0.3 * ego.width, ego.height + 0.03
+    return rr.Mesh3D(
+        vertex_positions=[(cabin + tip, 0, level), (cabin - tip, side, level), (cabin - tip, -side, level)],
+        triangle_indices=[[0, 1, 2]],
+        vertex_normals=[(0, 0, 1)] * 3,
+        albedo_factor=int(packed([PAINT])[0]),
+    )
+
+
+def _wheels(x: float, y: float) -> rr.Boxes3D:
+    return rr.Boxes3D(
+        centers=[(x, y, 0.33), (x, -y, 0.33)],
+        half_sizes=[(0.33, 0.12, 0.33)],
+        colors=packed([RUBBER]),
+        fill_mode="solid",
+    )

@@ -1,0 +1,149 @@
+"""What SUMO route files declare: vehicle types, routes, and where a vehicle of the scenario appears."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from emran_sumo.errors import UserError, nearest_name
+
+_HEAVY = frozenset({"truck", "trailer", "bus", "coach"})
+
+
+class VehicleType(NamedTuple):
+    """What the fill needs of a SUMO vType; `speed_factor` is (mean, deviation, lowest, highest)."""
+
+    id: str
+    probability: float
+    length: float
+    min_gap: float
+    tau: float
+    decel: float
+    max_speed: float
+    speed_factor: tuple[float, float, float, float]
+    heavy: bool
+
+
+class Departure(NamedTuple):
+    """Where a vehicle of the scenario appears at t = 0: front bumper at `position` on a lane [m]."""
+
+    edge: str
+    lane: int
+    position: float
+    speed: float
+    length: float
+
+
+def check_ego(ego: str, route_files: Sequence[Path]) -> None:
+    """Refuse an ego that none of the route files declares.
+
+    Raises:
+        UserError: with the nearest id.
+    """
+    found: list[str] = []
+    for file in route_files:
+        try:
+            root = ET.parse(file).getroot()
+        except ET.ParseError as error:
+            raise UserError(f"{file}: not valid XML: {error}.") from None
+        except OSError:
+            raise UserError(f"{file}: no such route file.") from None
+        found += [element.get("id", "") for element in root if element.tag in ("vehicle", "trip")]
+    if ego not in found:
+        names = ", ".join(str(file) for file in route_files)
+        hint = nearest_name(ego, found) if found else "They declare no single vehicle."
+        raise UserError(f'ego: found "{ego}", which is no vehicle of {names}. {hint}')
+
+
+def read(route_files: Sequence[Path]) -> list[ET.Element]:
+    """Roots of the route files."""
+    return [ET.parse(file).getroot() for file in route_files]
+
+
+def departures(route_files: Sequence[Path], ids: Sequence[str], speed_limit: float) -> tuple[Departure, ...]:
+    """Departures at t = 0 of the vehicles `ids`; those that come later need no free place and are left out.
+
+    Raises:
+        ValueError: a vehicle is missing, or its departLane or departPos is not a number.
+    """
+    declared = read(route_files)
+    found = {v.get("id"): v for root in declared for v in root.iter("vehicle")}
+    lengths = {t.get("id"): float(t.get("length", 5.0)) for root in declared for t in root.iter("vType")}
+    result = []
+    for name in ids:
+        if name not in found:
+            raise ValueError(f"vehicle {name!r} is in none of the route files")
+        vehicle = found[name]
+        if float(vehicle.get("depart", 0.0)) <= 0.0:
+            length = lengths.get(vehicle.get("type"), 5.0)
+            result.append(_departure(vehicle, declared, length, speed_limit))
+    return tuple(result)
+
+
+def _departure(vehicle: ET.Element, declared: list[ET.Element], length: float, speed_limit: float) -> Departure:
+    inline = vehicle.find("route")
+    edges = _edges(inline) if inline is not None else route_edges(declared, vehicle.get("route", ""))
+    try:
+        lane, position = int(vehicle.get("departLane", "")), float(vehicle.get("departPos", ""))
+    except ValueError:
+        raise ValueError(f"vehicle {vehicle.get('id')!r} needs numbers as departLane and departPos") from None
+    try:
+        speed = float(vehicle.get("departSpeed", 0.0))
+    except ValueError:  # "max", "desired", ...
+        speed = speed_limit
+    return Departure(edges[int(vehicle.get("departEdge", 0))], lane, position, speed, length)
+
+
+def vehicle_types(declared: list[ET.Element], name: str) -> list[VehicleType]:
+    """Types of the vTypeDistribution `name`, or the one vType of that name.
+
+    Raises:
+        ValueError: neither is declared.
+    """
+    for root in declared:
+        for d in root.iter("vTypeDistribution"):
+            if d.get("id") == name and len(d):
+                return [_type(t) for t in d.iter("vType")]
+        for t in root.iter("vType"):
+            if t.get("id") == name:
+                return [_type(t)]
+    raise ValueError(f"type {name!r} is declared in none of the route files")
+
+
+def _type(t: ET.Element) -> VehicleType:
+    """Read a vType; what it leaves out takes SUMO's value for passenger cars."""
+    get = t.get
+    factor = get("speedFactor", "1.0")
+    if "(" in factor:
+        numbers = [float(x) for x in factor[factor.index("(") + 1 : factor.index(")")].split(",")]
+    else:
+        numbers = [float(factor), float(get("speedDev", 0.1))]
+    mean, deviation, low, high = (numbers + [0.2, 2.0][len(numbers) - 2 :])[:4]
+    return VehicleType(
+        id=get("id", ""),
+        probability=float(get("probability", 1.0)),
+        length=float(get("length", 5.0)),
+        min_gap=float(get("minGap", 2.5)),
+        tau=float(get("tau", 1.0)),
+        decel=float(get("decel", 4.5)),
+        max_speed=float(get("maxSpeed", 55.55)),
+        speed_factor=(mean, deviation, low, high),
+        heavy=get("vClass", "passenger") in _HEAVY,
+    )
+
+
+def route_edges(declared: list[ET.Element], name: str) -> list[str]:
+    """Edges of the route `name`.
+
+    Raises:
+        ValueError: it is not declared.
+    """
+    for root in declared:
+        for route in root.iter("route"):
+            if route.get("id") == name:
+                return _edges(route)
+    raise ValueError(f"route {name!r} is declared in none of the route files")
+
+
+def _edges(route: ET.Element) -> list[str]:
+    return route.get("edges", "").split()
