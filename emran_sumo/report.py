@@ -58,10 +58,7 @@ def verdict(summary: dict[str, Any]) -> str:
     s = summary["manifest"]["scenario"]
     name = summary["manifest"]["scenario_name"]
     where = "open road" if s["world"] == "track" else f"{s['traffic']['density']:g} vehicles/km/lane"
-    return (
-        f"{name}, {s['controller']}, seed {s['seed']}, {where}: "
-        f"{summary['ended']}, {summary['reason']}."
-    )
+    return f"{name}, {s['controller']}, seed {s['seed']}, {where}: {summary['ended']}, {summary['reason']}."
 
 
 def summary_markdown(summary: dict[str, Any]) -> str:

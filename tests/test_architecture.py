@@ -12,13 +12,13 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics maneuver scenario",
-    "ego drive report",
+    "ego drive bench report",
     "terminal cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}
 LONGEST = 400  # lines; a longer module has a second idea inside
-GRANTED = {Path("world/sumo"): 500}  # one door needs one room
+GRANTED = {Path("world/sumo"): 450}  # one door needs one room
 MODULES = sorted(file.relative_to(PACKAGE).with_suffix("") for file in PACKAGE.rglob("*.py"))
 
 

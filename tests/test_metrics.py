@@ -89,7 +89,7 @@ def test_time_to_collision_is_when_the_gap_is_used_up(gap, speed, ahead):
 
 def test_same_speed_is_no_conflict():
     assert lead(3.0, 20.0, 20.0) == (3.0, math.inf, 0.0)
-    assert NO_LEAD == (math.inf, math.inf, 0.0)
+    assert (math.inf, math.inf, 0.0) == NO_LEAD
 
 
 @pytest.mark.parametrize("gap", [0.0, -1.0])
@@ -134,7 +134,8 @@ def corners(box):
     c, s = math.cos(box.yaw), math.sin(box.yaw)
     half = [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]
     return [
-        (box.x + a * box.length * c - b * box.width * s, box.y + a * box.length * s + b * box.width * c) for a, b in half
+        (box.x + a * box.length * c - b * box.width * s, box.y + a * box.length * s + b * box.width * c)
+        for a, b in half
     ]
 
 

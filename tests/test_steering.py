@@ -269,7 +269,7 @@ def test_network_without_authority_gives_the_bits_of_the_base_law(bench, double_
 
 
 def test_network_that_cannot_change_gives_the_bits_of_the_base_law(bench, double_lane_change):
-    mute = {"growth_gain": 0.0, "rate_initial": 0.0, "rate_steady": 0.0, "bias_rate": 0.0}
+    mute = ("growth_gain", "rate_initial", "rate_steady", "bias_rate")
     changes = {f"{half}.emran.{key}": 0.0 for half in ("lateral", "longitudinal") for key in mute}
     base = bench.drive(double_lane_change, 10.0, 8.0, "coupled-base", position=20.0)
     silent = bench.drive(double_lane_change, 10.0, 8.0, position=20.0, changes=changes)

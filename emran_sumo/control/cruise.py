@@ -9,9 +9,9 @@ from pydantic import Field
 from emran_sumo.control.emran import EmranParams, learn, learn_bias, predict, prune
 from emran_sumo.control.pid import PidMemory, PidParams, pid
 from emran_sumo.kernels import njit
+from emran_sumo.plant.records import GRAVITY
 from emran_sumo.units import Unit
 
-GRAVITY = 9.81
 INPUTS = 3  # speed reference, acceleration reference, grade acceleration
 HOLD_SPEED = 0.3  # m/s: below it, with a reference of standstill, the brakes hold the car
 HOLD_DECELERATION = 1.5  # m/s2, on top of what the grade needs

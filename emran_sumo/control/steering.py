@@ -10,10 +10,10 @@ from emran_sumo.control.emran import EmranParams, fade, learn, learn_bias, predi
 from emran_sumo.control.stanley import stanley
 from emran_sumo.kernels import njit
 from emran_sumo.path import mean_curvature, nearest, tracking_errors
+from emran_sumo.plant.records import GRAVITY
 from emran_sumo.plant.tire import slip_angle_for_force
 from emran_sumo.units import Unit
 
-GRAVITY = 9.81
 INPUTS = 4  # cross-track error, heading error, lateral speed, yaw rate
 LEARNING_SPEED = 2.0  # m/s: below it the course is not defined well enough to learn from
 SLOWEST_SCALED = 7.5  # m/s: learning rates grow no further below this speed
