@@ -1,6 +1,7 @@
 """One run: the host loop between SUMO and the ego, and what it leaves in the run's folder."""
 
 import contextlib
+import gzip
 import hashlib
 import json
 import math
@@ -8,6 +9,7 @@ import platform
 import shlex
 import signal
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -291,6 +293,8 @@ def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scen
         limit = scenario.road.speed_limit or main_limit(network)
         egos = departures(routes, [scenario.ego], limit)
         write_demand(file, network, routes, scenario.traffic, limit, scenario.seed, egos)
+    except (ET.ParseError, gzip.BadGzipFile, EOFError) as error:
+        raise UserError(f"{network}: not a network file: {error}.") from None
     except ValueError as error:
         raise UserError(f"traffic: {error}.") from None
 

@@ -139,18 +139,12 @@ class Ego:
     def advance(self) -> np.ndarray:
         """Drive one SUMO step; returns its trace rows (n, columns)."""
         rates = self.scenario.rates
-        n = self._periods
-        speeds, accels = self._wanted.speeds, self._wanted.accels
-        if speeds is None or accels is None:
-            rise = self._wanted.speed - self._speed_reference
-            speeds = self._speed_reference + rise * self._shares
-            accels = np.full(n, rise / rates.sumo_step)
-        noise = self._noise.standard_normal((n, CHANNELS))
-        rows = new_trace(n)
+        references = self._references(self._wanted)
+        rows = new_trace(self._periods)
         before = self.state.vehicle.speed_long
         s = self.scenario
         self.state, self.status, count = closed_loop(
-            s.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), References(self.path, self.driven, speeds, accels, noise),
+            s.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
         self._speed_reference = self._wanted.speed
@@ -158,6 +152,16 @@ class Ego:
         self.tick += count
         self._note_networks(rows[:count])
         return rows[:count]
+
+    def _references(self, wanted: Intent) -> References:
+        """The profile within the step, where the world knows it, or a straight line to the wished speed."""
+        speeds, accels = wanted.speeds, wanted.accels
+        if speeds is None or accels is None:
+            rise = wanted.speed - self._speed_reference
+            speeds = self._speed_reference + rise * self._shares
+            accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
+        noise = self._noise.standard_normal((self._periods, CHANNELS))
+        return References(self.path, self.driven, speeds, accels, noise)
 
     def observe(self, traffic: Traffic, mirror_error: float, rows: np.ndarray) -> np.ndarray:
         """Look around after a step: lead, collisions, maneuver. Returns the rows with the safety columns."""

@@ -115,12 +115,39 @@ def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> L
         UserError: one sentence with file, key, what was found and what is accepted.
     """
     file = find(name)
-    given = _flat(_read(file))
+    given = values_in(file)
     origin = dict.fromkeys(given, str(file))
     for name_given, (value, where) in (overrides or {}).items():
         changed = _flat({name_given: value})
         given |= changed
         origin |= dict.fromkeys(changed, where)
+    scenario = checked(given, origin, str(file))
+    if scenario.world == "sumo" and not (scenario.network and scenario.routes):
+        missing = "network" if not scenario.network else "routes"
+        raise UserError(f'{file}: key "{missing}" is missing; it names the file of the {missing}.')
+    return Located(file.parent.name if file.name == FILE else file.stem, file.parent, scenario)
+
+
+def values_in(file: Path) -> dict[str, Any]:
+    """Dotted keys of a TOML file with their values; lists as tuples.
+
+    Raises:
+        UserError: the file cannot be read or is not TOML.
+    """
+    return _flat(_read(file))
+
+
+def checked(given: dict[str, Any], origin: dict[str, str], file: str) -> Scenario:
+    """Scenario of dotted keys over the values of their controller.
+
+    Args:
+        given: dotted keys with their values.
+        origin: where each of them came from, for the message.
+        file: where to look for what is in none of them.
+
+    Raises:
+        UserError: one sentence with file, key, what was found and what is accepted.
+    """
     controller = given.get("controller", DEFAULT)
     if not isinstance(controller, str) or controller not in CONTROLLERS:
         hint = nearest_name(str(controller), list(CONTROLLERS))
@@ -134,10 +161,7 @@ def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> L
     except ValidationError as error:
         raise UserError(_sentence(error, origin, file)) from None
     _check_rates(scenario.rates, origin, file)
-    if scenario.world == "sumo" and not (scenario.network and scenario.routes):
-        missing = "network" if not scenario.network else "routes"
-        raise UserError(f'{file}: key "{missing}" is missing; it names the file of the {missing}.')
-    return Located(file.parent.name if file.name == FILE else file.stem, file.parent, scenario)
+    return scenario
 
 
 def build(given: dict[str, Any]) -> Scenario:
@@ -255,14 +279,14 @@ def accepted(annotation: Any) -> str:
     return f"{text} {unit}" if unit not in ("", "-", "on/off") else text
 
 
-def _sentence(error: ValidationError, origin: dict[str, str], file: Path) -> str:
+def _sentence(error: ValidationError, origin: dict[str, str], file: str) -> str:
     first = error.errors()[0]
     key = ".".join(part for part in first["loc"] if isinstance(part, str))  # without the place in a list
     wanted = accepted(_leaves(Scenario)[key])
     return f"{origin.get(key, file)}: {key}: found {_shown(first['input'])}; accepted is {wanted}."
 
 
-def _check_rates(rates: RateParams, origin: dict[str, str], file: Path) -> None:
+def _check_rates(rates: RateParams, origin: dict[str, str], file: str) -> None:
     for key, slow, fast_key, fast in (
         ("rates.driver_step", rates.driver_step, "rates.sumo_step", rates.sumo_step),
         ("rates.sumo_step", rates.sumo_step, "rates.control_step", rates.control_step),

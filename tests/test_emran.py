@@ -388,7 +388,7 @@ def test_last_neuron_is_never_pruned():
 
 
 def test_silent_network_is_not_pruned():
-    memory = network([((9.0,), 1.0, 1.0), ((-9.0,), 1.0, 1.0)])
+    memory = network([((9.0,), 1.0, 1.0), ((-12.0,), 1.0, 1.0)])
     assert pruned_after(memory, at(0), 300) is None
 
 

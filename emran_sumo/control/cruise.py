@@ -14,6 +14,7 @@ from emran_sumo.units import Unit
 
 INPUTS = 3  # speed reference, acceleration reference, grade acceleration
 HOLD_SPEED = 0.3  # m/s: below it, with a reference of standstill, the brakes hold the car
+LEARNING_SPEED = 1.0  # m/s: below it brakes hold the car with more torque than it shows
 HOLD_DECELERATION = 1.5  # m/s2, on top of what the grade needs
 
 
@@ -198,15 +199,14 @@ def _full(params, network, vehicle, memory, motion, speed_reference, accel_refer
     emran = params.emran
     v, b = _observe(params, memory, motion, period)
     known = resistance(vehicle, speed_reference)
-    # learning: the resistance met at the achieved operating point
     net, signal, learned = 0.0, 0.0, False
-    if emran.authority > 0.0:
+    if emran.authority > 0.0 and motion.speed > LEARNING_SPEED:
         here = _inputs(params, speed_reference, accel_reference, b)
-        met = motion.achieved - (motion.specific_force - b)
-        signal = met - known - b - predict(emran, network, here)
+        missing = motion.achieved - (motion.specific_force - b) - known - b
+        signal = missing - predict(emran, network, here)
         learned = learn(emran, network, here, signal, 1.0, period)
         if learned:
-            learn_bias(emran, network, met - known - b - predict(emran, network, here), 1.0, period)
+            learn_bias(emran, network, missing - predict(emran, network, here), 1.0, period)
         prune(emran, network, here)
     pitching = motion.pitch_rate * math.sqrt(max(GRAVITY * GRAVITY - b * b, 0.0))
     ahead = b + params.grade_lead * pitching

@@ -61,6 +61,7 @@ class SumoWorld:
         self._widths: dict[str, float] = {}
         self._lines: dict[str, np.ndarray] = {}
         self._closed = False
+        self._last_message = ""
         self._start(network, route_files, seed, driver_step, gui)
         try:
             self._limit_speed(speed_limit)
@@ -137,9 +138,10 @@ class SumoWorld:
         while ego not in libsumo.vehicle.getIDList():
             if libsumo.simulation.getMinExpectedNumber() == 0 or self.time > end:
                 names = ", ".join(str(file) for file in files)
+                said = f" SUMO said: {_one_line(self._last_message)}" if self._last_message else ""
                 raise UserError(
                     f'ego: vehicle "{ego}" of {names} was not on the road when the warm-up ended or within '
-                    f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived."
+                    f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived.{said}"
                 )
             self._advance()
 
@@ -368,8 +370,9 @@ class SumoWorld:
         return Road(tuple(lanes), tuple(shape[:, :2] for shape in shapes if shape.ndim == 2 and len(shape) > 2))
 
     def _advance(self) -> None:
-        with _told():
+        with _messages() as read, _told():
             libsumo.simulation.step()
+            self._last_message = read() or self._last_message
 
     def close(self) -> None:
         """Complete a pending step and close SUMO; safe to call twice."""
