@@ -7,7 +7,7 @@ import numpy as np
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.loop import STATUS, Networks, References, blank_networks, closed_loop, new_trace, start
-from emran_sumo.path import Path, point_at
+from emran_sumo.path import Path, nearest, point_at
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import rolling_start
@@ -55,7 +55,8 @@ def drive_track(scenario: Scenario, networks: Networks | None = None) -> BenchRu
     noise = noise_source(scenario.seed).standard_normal((n, CHANNELS))
     begin = point_at(path, LEAD_IN)
     car = rolling_start(scenario.vehicle, float(speeds[0]), begin.x, begin.y, begin.yaw)
-    state = start(scenario.vehicle, car, LEAD_IN, scenario.longitudinal.feedforward)
+    position = nearest(driven, car.x, car.y, LEAD_IN).position
+    state = start(scenario.vehicle, car, position, scenario.longitudinal.feedforward)
     nets = networks if networks is not None else blank_networks(scenario.control)
     trace = new_trace(n)
     _, status, rows = closed_loop(

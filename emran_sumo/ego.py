@@ -78,7 +78,8 @@ class Ego:
         point = nearest(self.base, pose.x, pose.y, _first_guess(self.base, pose))
         self.route_offset = handed.route_position - point.position
         state = rolling_start(scenario.vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
-        self.state = start(scenario.vehicle, state, point.position, scenario.longitudinal.feedforward)
+        position = nearest(self.driven, pose.x, pose.y, point.position).position
+        self.state = start(scenario.vehicle, state, position, scenario.longitudinal.feedforward)
         self.networks = blank_networks(scenario.control)
         self.tick = 0
         self.status = 0
@@ -265,7 +266,7 @@ class Ego:
             worst = np.abs(errors).max(initial=0.0)
             self._enter("keep lane", f"double lane change done, largest cross-track error {worst:.3f} m")
             self.change = None
-        elif done > maneuver.BACK_START - 5.0:
+        elif done > change.back_start - 5.0:
             self._enter("change right" if change.side > 0 else "change left", "back to the own lane")
         elif done > maneuver.OUT_START - 10.0:
             side = "left" if change.side > 0 else "right"
@@ -287,6 +288,8 @@ class Ego:
         self.begin, self.began = self.state.position, self.time
         self.path = maneuver.maneuver_path(self.base, change, self.begin, self.lane_width)
         self.driven = self._conditioned(self.path, car.speed_long)
+        position = nearest(self.driven, car.x, car.y, self.begin).position
+        self.state = self.state._replace(position=position)
         self._enter("double lane change", f"double lane change begins at {car.speed_long:.1f} m/s")
 
     def _conditioned(self, path: Path, speed: float) -> Path:

@@ -27,7 +27,7 @@ from emran_sumo.control.emran import (
 from emran_sumo.control.steering import INPUTS as STEERING_INPUTS
 from emran_sumo.control.steering import SteeringMemory, SteeringParams, track
 from emran_sumo.kernels import njit
-from emran_sumo.path import Path, interpolate, nearest, path_length, tracking_errors
+from emran_sumo.path import Path, interpolate, nearest, path_length, point_at, tracking_errors
 from emran_sumo.plant.disturbance import environment
 from emran_sumo.plant.sensors import CHANNELS, SensorParams, measured_state
 from emran_sumo.plant.vehicle import Actuation, VehicleState, forces, step
@@ -75,8 +75,8 @@ class Networks(NamedTuple):
 class LoopState(NamedTuple):
     """Everything of one ego that the next control step needs, besides its networks.
 
-    position: along the path [m]; pending: (DELAYS, 2) commands [rad], [N m] on their way to the actuators, a ring by
-    tick, changed in place.
+    position: of the point of the driven path nearest to the car [m]; pending: (DELAYS, 2) commands [rad], [N m] on
+    their way to the actuators, a ring by tick.
     """
 
     vehicle: VehicleState
@@ -152,9 +152,10 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
     Returns:
         (LoopState, status, rows written); status is RUNNING, DIVERGED or PATH_ENDED.
     """
-    car, cruise_memory, steering_memory, pending = state.vehicle, state.cruise, state.steering, state.pending
+    car, cruise_memory, steering_memory = state.vehicle, state.cruise, state.steering
+    pending = state.pending.copy()
     period, periods, path = clock.period, references.accels.size, references.driven
-    point = nearest(path, car.x, car.y, state.position)
+    point = point_at(path, state.position)
     for k in range(periods):
         tick = clock.tick + k
         time = tick * period

@@ -8,9 +8,9 @@ import numpy as np
 from emran_sumo.errors import UserError
 from emran_sumo.path import LaneChange, Path, lane_change_offset, shifted
 
-# where the two transitions of Eq. 23 begin [m], and their lengths
-OUT_START, OUT_LENGTH = 27.19, 25.0
-BACK_START, BACK_LENGTH = 56.46, 21.95
+# of Eq. 23: where the way out begins [m], the lengths of both transitions, and the distance between them
+OUT_START, OUT_LENGTH, BACK_LENGTH = 27.19, 25.0, 21.95
+HOLD = 56.46 - OUT_START - OUT_LENGTH
 TAIL = 15.0  # m after the second transition until tanh has settled
 
 CLOSING_AHEAD = 4.0  # s during which a slower leader comes closer
@@ -32,9 +32,14 @@ class DoubleLaneChange(NamedTuple):
     side: int
 
     @property
+    def back_start(self) -> float:
+        """Distance [m] from its begin to where the way back begins."""
+        return OUT_START + self.length_out + HOLD
+
+    @property
     def length(self) -> float:
         """Distance [m] from its begin until the ego is back in its lane."""
-        return BACK_START + self.length_back + TAIL
+        return self.back_start + self.length_back + TAIL
 
 
 class Others(NamedTuple):
@@ -90,7 +95,7 @@ def transitions(change: DoubleLaneChange, begin: float, width: float) -> tuple[L
     height = change.side * width
     return (
         LaneChange(height, begin + OUT_START, change.length_out),
-        LaneChange(-height, begin + BACK_START, change.length_back),
+        LaneChange(-height, begin + change.back_start, change.length_back),
     )
 
 

@@ -73,7 +73,10 @@ def mean_curvature(path, position, half_width):
 
 @njit
 def point_at(path, position):
-    """Point at `position` [m]: cubic Hermite in x and y, so that 0.25 m spacing is exact to micrometers."""
+    """Point at `position` [m]: cubic Hermite in x and y, so that 0.25 m spacing is exact to micrometers.
+
+    Beyond the ends the coordinates are those of the end; the position is returned as given.
+    """
     i, f = _cell(path, position)
     h = path.spacing
     a = (1.0 + 2.0 * f) * (1.0 - f) * (1.0 - f)
@@ -120,7 +123,7 @@ def tracking_errors(point, x, y, yaw):
 def path_from_points(x: np.ndarray, y: np.ndarray, grade: np.ndarray | float = 0.0) -> Path:
     """Path through points (n,) that already lie on a smooth curve at nearly uniform distances.
 
-    Yaw and curvature follow from differences of fourth order; the spacing is the mean distance.
+    Yaw and curvature follow from central differences; the spacing is the mean distance.
     """
     dx, dy = np.gradient(x, edge_order=2), np.gradient(y, edge_order=2)
     yaw = np.unwrap(np.arctan2(dy, dx))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from emran_sumo import locate, shipped
 from emran_sumo.control.cruise import CruiseParams
@@ -86,7 +86,7 @@ class Located(NamedTuple):
     values: Scenario
 
 
-_ADAPTER = TypeAdapter(Scenario)
+_ADAPTER = TypeAdapter(Scenario, config=ConfigDict(allow_inf_nan=False))
 
 
 def find(name: str) -> Path:
@@ -118,7 +118,7 @@ def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> L
     given = values_in(file)
     origin = dict.fromkeys(given, str(file))
     for name_given, (value, where) in (overrides or {}).items():
-        changed = _flat({name_given: value})
+        changed = flat({name_given: value})
         given |= changed
         origin |= dict.fromkeys(changed, where)
     scenario = checked(given, origin, str(file))
@@ -134,7 +134,7 @@ def values_in(file: Path) -> dict[str, Any]:
     Raises:
         UserError: the file cannot be read or is not TOML.
     """
-    return _flat(_read(file))
+    return flat(_read(file))
 
 
 def checked(given: dict[str, Any], origin: dict[str, str], file: str) -> Scenario:
@@ -171,7 +171,7 @@ def build(given: dict[str, Any]) -> Scenario:
         pydantic.ValidationError: a value is not accepted.
     """
     preset = CONTROLLERS[given.get("controller", DEFAULT)][1]
-    values = _tree({**_flat(to_dict(Scenario())), **preset, **given})
+    values = _tree({**flat(to_dict(Scenario())), **preset, **given})
     return _ADAPTER.validate_python(values, strict=True)
 
 
@@ -198,19 +198,20 @@ def _read(file: Path) -> dict[str, Any]:
         raise UserError(f"{file}: cannot be read: {error}.") from None
 
 
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
+def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted key -> value of nested tables; lists become tuples."""
+    found: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
+            found.update(flat(value, f"{prefix}{key}."))
         else:
-            flat[prefix + key] = tuple(value) if isinstance(value, list) else value
-    return flat
+            found[prefix + key] = tuple(value) if isinstance(value, list) else value
+    return found
 
 
-def _tree(flat: dict[str, Any]) -> dict[str, Any]:
+def _tree(dotted: dict[str, Any]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
-    for key, value in flat.items():
+    for key, value in dotted.items():
         *sections, leaf = key.split(".")
         node = tree
         for section in sections:

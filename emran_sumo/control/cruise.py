@@ -176,18 +176,19 @@ def _plain(params, network, memory, motion, speed_reference, period):
     emran = params.emran
     error = speed_reference - motion.speed
     law, pid_memory = pid(params.pid, memory.pid, error, motion.achieved - memory.expected, period)
-    law, pid_memory = _hold(speed_reference, motion.speed, 0.0, law, pid_memory)
     net, signal, learned = 0.0, 0.0, False
-    if emran.authority > 0.0:
+    if emran.authority > 0.0 and motion.speed > LEARNING_SPEED:
         inputs = np.empty(INPUTS)
         inputs[0], inputs[1], inputs[2] = motion.position, motion.speed, motion.specific_force
         signal = law + params.paper_gain * error
         output = predict(emran, network, inputs)
         if abs(output) < emran.output_max or output * signal < 0.0:
             learned = learn(emran, network, inputs, signal, 1.0, period)
-            learn_bias(emran, network, signal if learned else 0.0, 1.0, period)
+            if learned:
+                learn_bias(emran, network, signal, 1.0, period)
         net = emran.authority * predict(emran, network, inputs)
         prune(emran, network, inputs)
+    law, net, pid_memory = _hold(speed_reference, motion.speed, 0.0, law, net, pid_memory)
     asked = law + net
     command = CruiseCommand(_limited(params, asked), law, net, signal, learned)
     expected = memory.expected + period / (params.lag + period) * (asked - memory.expected)
@@ -216,7 +217,7 @@ def _full(params, network, vehicle, memory, motion, speed_reference, accel_refer
     error = speed_reference - v
     feedback, pid_memory = pid(params.pid, memory.pid, error, motion.achieved - memory.expected, period)
     law = accel_reference + known + ahead + feedback + params.K_1 * error
-    law, pid_memory = _hold(speed_reference, motion.speed, b, law, pid_memory)
+    law, net, pid_memory = _hold(speed_reference, motion.speed, b, law, net, pid_memory)
     asked = law + net
     # lead (lag s + 1) / (lead_filter s + 1) against the lag of the drive
     tau = params.lead_filter
@@ -227,12 +228,12 @@ def _full(params, network, vehicle, memory, motion, speed_reference, accel_refer
 
 
 @njit
-def _hold(speed_reference, speed, grade_accel, law, memory):
-    """Brakes that hold the car where standstill is wanted and reached."""
+def _hold(speed_reference, speed, grade_accel, law, network, memory):
+    """Brakes that hold the car, without the network, where standstill is wanted and reached."""
     if speed_reference < 0.05 and speed < HOLD_SPEED:
         held = -(HOLD_DECELERATION + abs(grade_accel))
-        return min(law, held), PidMemory(0.0, 0.0, memory.error)
-    return law, memory
+        return min(law, held), 0.0, PidMemory(0.0, 0.0, memory.error)
+    return law, network, memory
 
 
 @njit

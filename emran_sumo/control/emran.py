@@ -149,7 +149,8 @@ def _grow(params, memory, inputs, error, distance, rate_scale, period):
         alpha = eta y_e,   mu = v,   sigma = kappa |v - mu_w|                                        (14)
 
     Differs: alpha is scaled by eta = growth_gain, because alpha = y_e doubles the feedback at once; the first neuron,
-    which has no neighbor, takes the distance eps_1.
+    which has no neighbor, takes the distance eps_1; the distance counts up to 3 eps_1, and sigma is held between
+    width_min and width_max.
     """
     k = memory.counts[NEURONS]
     eps = memory.scale[0]
@@ -192,7 +193,9 @@ def _correct(params, memory, k, inputs, error, rate_scale, period):
 
         K = P B / (R + B' P B),   theta += K y_e,   P = (I - K B') P + q I,   R = 1                  (15)-(17)
 
-    Differs: (15) prints the norm of the error, which learns in one direction only; `unsigned` does that.
+    Differs: (15) prints the norm of the error, which learns in one direction only; `unsigned` does that. q is scaled by
+    shape_gain for center and width, the center moves at most center_step widths at once, and weight and width are held
+    within their bounds.
     """
     l = inputs.size + 2
     if params.unsigned:
@@ -256,7 +259,7 @@ def learn(params, memory, inputs, error, rate_scale, period):
         period: control period [s].
 
     Returns:
-        True when the sample changed the network.
+        True when the sample was used; an empty network that does not grow stays empty all the same.
 
     Source: paper, Eq. 13-18; Li, Sundararajan, Saratchandran 2000.  Differs: the second test of (13) is on |y_e|.
     """
@@ -316,7 +319,7 @@ def _remove(memory, k):
 def prune(params, memory, inputs):
     """Remove neurons that for `prune_samples` samples in a row gave less than `prune_share` of the largest one.
 
-    The last neuron stays, and so do neurons younger than `prune_samples`.
+    The last neuron stays, and so do neurons not older than `prune_samples`.
     """
     counts = memory.counts
     largest = 0.0

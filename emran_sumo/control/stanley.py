@@ -16,7 +16,7 @@ def stanley(gain, softening, cross_track_error, heading_error, speed):
         softening: k_s [m/s], keeps the angle finite at low speed.
         cross_track_error: e [m] at the reference point, positive when the path lies to the left.
         heading_error: psi_e [rad], path minus vehicle, in [-pi, pi).
-        speed: v [m/s], >= 0.
+        speed: v [m/s]; at least 0.1 m/s is assumed.
 
     Returns:
         Road-wheel angle [rad], positive to the left, not yet limited.

@@ -154,7 +154,8 @@ def _plain(params, network, vehicle, memory, state, path, point, period):
     learned = False
     if abs(output) < emran.output_max or output * signal < 0.0:
         learned = learn(emran, network, inputs, signal, 1.0, period)
-        learn_bias(emran, network, signal if learned else 0.0, 1.0, period)
+        if learned:
+            learn_bias(emran, network, signal, 1.0, period)
     part = emran.authority * predict(emran, network, inputs)
     prune(emran, network, inputs)
     return SteeringCommand(_limited(vehicle, law + part), law, part, signal, learned), memory

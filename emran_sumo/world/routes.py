@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from emran_sumo.errors import UserError, nearest_name
 
+# params of a vehicle that declare its double lane change
+DOUBLE_LANE_CHANGE = tuple(f"double_lane_change.{key}" for key in ("start", "length_out", "length_back", "direction"))
 _HEAVY = frozenset({"truck", "trailer", "bus", "coach"})
 
 
@@ -35,7 +37,7 @@ class Departure(NamedTuple):
 
 
 def check_ego(ego: str, route_files: Sequence[Path]) -> None:
-    """Refuse an ego that none of the route files declares.
+    """Refuse an ego that none of the route files declares, or with a misspelled double lane change.
 
     Raises:
         UserError: with the nearest id.
@@ -48,11 +50,23 @@ def check_ego(ego: str, route_files: Sequence[Path]) -> None:
             raise UserError(f"{file}: not valid XML: {error}.") from None
         except OSError:
             raise UserError(f"{file}: no such route file.") from None
-        found += [element.get("id", "") for element in root if element.tag in ("vehicle", "trip")]
+        vehicles = [element for element in root if element.tag in ("vehicle", "trip")]
+        found += [element.get("id", "") for element in vehicles]
+        for element in vehicles:
+            if element.get("id") == ego:
+                _check_params(ego, element)
     if ego not in found:
         names = ", ".join(str(file) for file in route_files)
         hint = nearest_name(ego, found) if found else "They declare no single vehicle."
         raise UserError(f'ego: found "{ego}", which is no vehicle of {names}. {hint}')
+
+
+def _check_params(ego: str, element: ET.Element) -> None:
+    """SUMO accepts any `<param>`; one meant for the double lane change must be one that is read."""
+    for key in (param.get("key", "") for param in element.iter("param")):
+        if key.startswith("double_lane_change.") and key not in DOUBLE_LANE_CHANGE:
+            hint = nearest_name(key, list(DOUBLE_LANE_CHANGE))
+            raise UserError(f'vehicle "{ego}": unknown param "{key}". {hint}')
 
 
 def read(route_files: Sequence[Path]) -> list[ET.Element]:

@@ -13,6 +13,7 @@ import numpy as np
 from emran_sumo.errors import UserError
 from emran_sumo.world.lanes import joined, smooth_path
 from emran_sumo.world.records import NOBODY, Intent, Lane, Pose, Road, TakeOver, Traffic
+from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
 
 SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
@@ -163,7 +164,7 @@ class SumoWorld:
         yaw = math.radians(90.0 - angle)
         x, y = position[0] - self._front * math.cos(yaw), position[1] - self._front * math.sin(yaw)
         pose = Pose(x, y, yaw, vehicle.getSpeed(ego), vehicle.getAcceleration(ego))
-        params = {key: vehicle.getParameter(ego, key) for key in _DOUBLE_LANE_CHANGE}
+        params = {key: vehicle.getParameter(ego, key) for key in DOUBLE_LANE_CHANGE}
         return TakeOver(
             pose,
             smooth_path(self._center_line(ego, lane)),
@@ -384,9 +385,6 @@ class SumoWorld:
                 libsumo.simulation.step()
         with contextlib.suppress(*SUMO_ERRORS):
             libsumo.close()
-
-
-_DOUBLE_LANE_CHANGE = tuple(f"double_lane_change.{key}" for key in ("start", "length_out", "length_back", "direction"))
 
 
 def version() -> str:

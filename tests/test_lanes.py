@@ -1,0 +1,114 @@
+"""Lane polylines become paths that keep their shape and can be driven."""
+
+import numpy as np
+import pytest
+
+from emran_sumo.path import path_length
+from emran_sumo.world.lanes import SPACING, joined, smooth_path
+
+BORDER = 60.0  # m at either end, where half of the neighbors that smooth a point are missing
+
+
+def curve(curvature, length: float, step: float = 0.05) -> np.ndarray:
+    """(n, 3): position, x, y of the curve with that curvature, integrated far finer than it is sampled."""
+    s = np.arange(0.0, length + 0.5 * step, step)
+    middle = s[:-1] + 0.5 * step
+    yaw = np.concatenate(([0.0], np.cumsum(curvature(middle) * step)))
+    half = yaw[:-1] + 0.5 * step * curvature(middle)
+    x = np.concatenate(([0.0], np.cumsum(np.cos(half) * step)))
+    y = np.concatenate(([0.0], np.cumsum(np.sin(half) * step)))
+    return np.column_stack((s, x, y))
+
+
+def polyline(fine: np.ndarray, every: float) -> np.ndarray:
+    """What netconvert makes of a curve: points some meters apart, rounded to centimeters."""
+    stride = round(every / (fine[1, 0] - fine[0, 0]))
+    points = np.round(fine[::stride, 1:], 2)
+    return np.column_stack((points, np.zeros(len(points))))
+
+
+def circle(s):
+    return np.full_like(s, 1.0 / 600.0)
+
+
+def clothoid(s):
+    """A motorway curve: straight, clothoid of 200 m, R = 800 m, clothoid, straight."""
+    return np.clip(np.minimum(s - 300.0, 1100.0 - s) / 200.0, 0.0, 1.0) / 800.0
+
+
+def nearest_distance(path, fine: np.ndarray) -> np.ndarray:
+    inside = (fine[:, 0] > BORDER) & (fine[:, 0] < fine[-1, 0] - BORDER)
+    points = fine[inside][::20, 1:]
+    xy = np.column_stack((path.x, path.y))
+    result = []
+    for p in points:
+        k = np.clip(np.argmin(((xy - p) ** 2).sum(1)), 1, len(xy) - 2)
+        result.append(abs(-np.sin(path.yaw[k]) * (p[0] - xy[k, 0]) + np.cos(path.yaw[k]) * (p[1] - xy[k, 1])))
+    return np.array(result)
+
+
+@pytest.mark.parametrize("every", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("shape", [circle, clothoid])
+def test_a_curve_keeps_its_place_and_its_curvature(shape, every):
+    fine = curve(shape, 1400.0)
+    path = smooth_path(polyline(fine, every))
+    # a chord between points `every` apart lies up to every^2 / 8 R beside the arc: that much is the polyline's own error
+    sag = every**2 / 8.0 * shape(fine[:, 0]).max()
+    assert nearest_distance(path, fine).max() < 0.05 + sag
+    s = np.arange(path.x.size) * SPACING
+    inside = (s > BORDER) & (s < s[-1] - BORDER)
+    largest = shape(s).max()
+    assert np.abs(path.curvature - shape(s))[inside].max() < 0.07 * largest
+    assert np.sqrt(np.mean((path.curvature - shape(s))[inside] ** 2)) < 0.03 * largest
+
+
+def test_the_corners_of_the_polyline_are_gone():
+    path = smooth_path(polyline(curve(circle, 1000.0), 20.0))
+    jump = np.abs(np.diff(path.curvature)).max() / SPACING
+    # the polyline has all its bend in corners: 20 m / R within nothing
+    assert jump < 0.2 / 600.0  # per meter: no more than a fifth of the curvature
+    assert np.abs(path.curvature).max() < 1.2 / 600.0
+
+
+def test_positions_are_arc_lengths_and_yaw_is_their_direction():
+    path = smooth_path(polyline(curve(clothoid, 1400.0), 10.0))
+    steps = np.hypot(np.diff(path.x), np.diff(path.y))
+    assert path.spacing == SPACING
+    np.testing.assert_allclose(steps, SPACING, atol=1e-5)
+    direction = np.unwrap(np.arctan2(np.diff(path.y), np.diff(path.x)))
+    np.testing.assert_allclose(direction, 0.5 * (path.yaw[1:] + path.yaw[:-1]), atol=1e-5)
+    np.testing.assert_allclose(np.gradient(path.yaw, SPACING)[2:-2], path.curvature[2:-2], atol=1e-5)
+    assert path_length(path) == pytest.approx(1400.0, abs=0.5)
+
+
+def test_yaw_is_continuous_where_the_compass_wraps():
+    fine = curve(lambda s: np.full_like(s, 1.0 / 100.0), 700.0)  # more than one full turn
+    path = smooth_path(polyline(fine, 5.0))
+    assert np.abs(np.diff(path.yaw)).max() < 0.01
+    assert path.yaw[-1] - path.yaw[0] == pytest.approx(7.0, abs=0.05)
+
+
+def test_a_climb_is_a_grade():
+    x = np.arange(0.0, 501.0, 10.0)
+    path = smooth_path(np.column_stack((x, np.zeros_like(x), 0.04 * x)))
+    np.testing.assert_allclose(path.grade, np.arctan(0.04), atol=1e-6)
+    np.testing.assert_allclose(path.y, 0.0, atol=1e-9)
+
+
+def test_a_straight_of_two_points_is_a_path():
+    path = smooth_path(np.array([[0.0, 0.0, 0.0], [30.0, 40.0, 0.0]]))
+    assert path_length(path) == pytest.approx(50.0, abs=SPACING)
+    np.testing.assert_allclose(path.yaw, np.arctan2(40.0, 30.0), atol=1e-9)
+    np.testing.assert_allclose(path.curvature, 0.0, atol=1e-9)
+
+
+def test_joined_lanes_have_no_point_twice():
+    a = np.array([[0.0, 0.0, 1.0], [10.0, 0.0, 1.0]])
+    b = np.array([[10.0, 0.0, 1.0], [10.0, 0.005, 1.0], [10.1, 0.0, 1.0], [20.0, 0.0, 2.0]])
+    points = joined([a, b])
+    np.testing.assert_array_equal(points, [[0, 0, 1], [10, 0, 1], [10.1, 0, 1], [20, 0, 2]])
+
+
+def test_joined_lanes_keep_a_lone_lane_as_it_is():
+    a = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0]])
+    np.testing.assert_array_equal(joined([a]), a)
