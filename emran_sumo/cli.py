@@ -1,5 +1,6 @@
 """The command line: words in, words out; no logic."""
 
+import os
 import shlex
 import signal
 import sys
@@ -58,6 +59,10 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Any dotted key, e.g. road.friction=0.6; repeatable."),
     ] = None,
+    set_file: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="TOML file of keys, e.g. what `tune` wrote; --set wins; repeatable."),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder that holds the runs.")] = Path("runs"),
     sumo_gui: Annotated[bool, typer.Option("--sumo-gui", help="Watch in SUMO's own window.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer when done.")] = False,
@@ -81,8 +86,10 @@ def run(
     with terminal.Display() as display:
         display.phase("load", 0.0, 0.0)
         from emran_sumo import drive
-        from emran_sumo.scenario import load, parse_value
+        from emran_sumo.scenario import load, parse_value, values_in
 
+        for file in reversed(set_file or []):  # the last one wins, and flags win over all
+            overrides = {**{key: (value, str(file)) for key, value in values_in(file).items()}, **overrides}
         for text in set_ or []:
             key, equals, value = text.partition("=")
             if not equals or not key:
@@ -92,6 +99,48 @@ def run(
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
         result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
     _finish(result, not no_record, view)
+
+
+@app.command()
+def tune(
+    file: Annotated[str, typer.Argument(help="Tuning file, or the name of a shipped one: lateral, longitudinal.")],
+    method: Annotated[str, typer.Option(help="ga (the paper's genetic algorithm) or cma (CMA-ES).")] = "ga",
+    seed: Annotated[int, typer.Option(min=1, help="The same seed gives the same result.")] = 1,
+    generations: Annotated[int | None, typer.Option(min=1, help="10 for ga, 20 for cma; more continue.")] = None,
+    population: Annotated[int | None, typer.Option(min=4, help="Per generation: 20 for ga, 10 for cma.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Result file; runs/tuning/<file>-<method>-seed<k>.toml by default.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; as many as cores by default.")] = None,
+) -> None:
+    """Search values for the keys of a tuning file; the same command continues a search that was interrupted."""
+    from emran_sumo import terminal
+
+    with terminal.SearchDisplay() as display:
+        from emran_sumo import kernels
+        from emran_sumo.search import BUDGET, METHODS
+        from emran_sumo.tune import Plan, checkpoint_file
+        from emran_sumo.tune import tune as search
+        from emran_sumo.tuning import find_file
+
+        if method not in METHODS:
+            raise UserError(f'--method: found "{method}"; accepted is {" or ".join(METHODS)}.')
+        source = find_file(file)
+        usual = BUDGET[method]
+        plan = Plan(method, seed, generations or usual[0], population or usual[1], workers or os.cpu_count() or 1)
+        result = out or Path("runs") / "tuning" / f"{source.stem}-{method}-seed{seed}.toml"
+        display.begin(plan.generations, plan.population, kernels.compiled_before())
+        command = shlex.join(["emran-sumo", *sys.argv[1:]])
+        try:
+            tuned = search(source, result, plan, command, display.step)
+        except KeyboardInterrupt:
+            print(
+                f"emran-sumo: interrupted; the finished generations are in {checkpoint_file(result)}, and the same "
+                "command continues.",
+                file=sys.stderr,
+            )
+            raise SystemExit(130) from None
+    terminal.show_tuned(tuned)
 
 
 def _finish(result: "RunResult", recorded: bool, view: bool) -> None:

@@ -50,8 +50,8 @@ def search(
     """
     from pymoo.core.evaluator import Evaluator
     from pymoo.core.problem import Problem
-    from pymoo.problems.static import StaticProblem
     from pymoo.core.termination import NoTermination
+    from pymoo.problems.static import StaticProblem
 
     problem = Problem(n_var=start.size, n_obj=1, xl=0.0, xu=1.0)
     algorithm = _genetic(start, seed, population) if method == "ga" else _cma(start, population)
@@ -84,14 +84,13 @@ def _genetic(start: np.ndarray, seed: int, population: int) -> "Algorithm":
             order = np.argsort(pop.get("F")[:, 0], kind="stable")
             return order[random_state.choice(len(order), (n_select, n_parents), p=ranking(len(order)))]
 
-    return GA(
-        pop_size=population,
-        sampling=np.vstack((start, hypercube(population - 1, start.size, seed))),
-        selection=Ranking(),
-        crossover=SBX(prob=CROSSOVER, eta=15),
-        mutation=PM(prob=MUTATION, eta=20),
-        eliminate_duplicates=True,
-    )
+    parts: dict[str, Any] = {
+        "sampling": np.vstack((start, hypercube(population - 1, start.size, seed))),
+        "selection": Ranking(),
+        "crossover": SBX(prob=CROSSOVER, eta=15),
+        "mutation": PM(prob=MUTATION, eta=20),
+    }
+    return GA(pop_size=population, eliminate_duplicates=True, **parts)
 
 
 def _cma(start: np.ndarray, population: int) -> "Algorithm":

@@ -10,6 +10,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from emran_sumo.drive import RunResult
+    from emran_sumo.tune import Step, Tuned
 
 _WORDS = {
     "load": "loading",
@@ -71,6 +72,67 @@ class Display:
             self._progress.console.print(_WORDS[name])
         self._task = self._progress.add_task(_WORDS[name], total=total if name != "compile" else None, note="")
         self._name, self._began = name, now
+
+
+class SearchDisplay:
+    """Progress of a search on stderr: generation, evaluations, fitness, time left; a line per generation where stderr
+    is no terminal."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}")
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._progress.add_task("loading", total=None, note="")
+        self._generations = self._budget = self._told = 0
+        self._began = 0.0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._progress.stop()
+
+    def begin(self, generations: int, population: int, compiled: bool) -> None:
+        """The search begins with the runs of the reference, which may first have to be compiled."""
+        self._generations, self._budget = generations, generations * population
+        text = "driving the reference" if compiled else _WORDS["compile"]
+        self._progress.update(self._task, description=text)
+        if not compiled and not self._progress.console.is_terminal:
+            self._progress.console.print(text)
+
+    def step(self, step: "Step") -> None:
+        """Show where the search stands."""
+        now = time.perf_counter()
+        if not self._began:
+            self._began = now
+            self._progress.update(self._task, total=self._budget)
+        note = f"{step.evaluations} of {self._budget} runs of all cases, fitness {step.start:.4f} -> {step.best:.4f}"
+        if step.driven > 1:
+            left = (now - self._began) / (step.driven - 1) * (self._budget - step.evaluations)
+            note += f", {left // 60:.0f} min {left % 60:02.0f} s left"
+        text = f"generation {min(step.generation + 1, self._generations)} of {self._generations}"
+        self._progress.update(self._task, description=text, completed=step.evaluations, note=note)
+        if step.generation > self._told and not self._progress.console.is_terminal:
+            text = f"generation {step.generation} of {self._generations}: {note}"
+            self._progress.console.print(text, highlight=False, soft_wrap=True)
+        self._told = step.generation
+
+
+def show_tuned(tuned: "Tuned") -> None:
+    """Print what a search found and how to drive with it."""
+    console, step = Console(), tuned.step
+    better = step.best < step.start
+    text = f"fitness {step.start:.4f} -> {step.best:.4f} after {step.evaluations} evaluations"
+    console.print(text if better else f"{text}: nothing better than the start", style="bold", highlight=False)
+    table = Table("", "start", "best", box=None, header_style="dim", pad_edge=False)
+    for key, (start, best) in tuned.changed.items():
+        table.add_row(key, f"{start:g}", f"{best:g}")
+    console.print(table)
+    file = _shown(tuned.file)
+    console.print(
+        f"\n{file}\ndrive with it:  emran-sumo run SCENARIO --set-file {file}", highlight=False, soft_wrap=True
+    )
 
 
 def show(result: "RunResult", recorded: bool) -> None:

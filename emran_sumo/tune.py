@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -15,15 +14,13 @@ import numpy as np
 
 from emran_sumo import __version__
 from emran_sumo.bench import drive_track, scores
+from emran_sumo.checkpoint import Checkpoint, checkpoint_file, sources
 from emran_sumo.errors import UserError
 from emran_sumo.scenario import build
 from emran_sumo.search import need_packages, search
 from emran_sumo.tuning import START, Tuning, decode, encode, read
 
 LOST = 1e3  # cost of a run that diverges, plus the share of its duration that was not driven
-_SOURCES = ("plant/*.py", "control/*.py", "world/track.py") + tuple(
-    f"{name}.py" for name in ("kernels path loop conditioning metrics scenario controllers bench tuning search").split()
-)
 
 Values = dict[str, float | int]
 
@@ -41,6 +38,7 @@ class Plan(NamedTuple):
 class Step(NamedTuple):
     """Where a search stands; cost of the start values and of the best so far, 1 where all equals the reference.
 
+    generation: the last finished one; evaluations: points asked for so far, also those that were known before;
     driven: evaluations of this call, without those that a checkpoint held.
     """
 
@@ -147,75 +145,6 @@ def _work(values: Values) -> float:
     return cost(*_task, values)
 
 
-class Checkpoint:
-    """The finished generations of a search, a line of JSON each, below a line that says of which search.
-
-    Raises:
-        UserError: the file belongs to another search.
-    """
-
-    def __init__(self, file: Path, search_of: dict[str, Any]) -> None:
-        self.file = file
-        self.generations: list[dict[str, Any]] = []
-        lines = file.read_bytes().splitlines(keepends=True) if file.exists() else []
-        whole = [line for line in lines if line.endswith(b"\n")]  # a kill may tear the last one
-        if whole:
-            self._compare(whole[0], search_of)
-            self.generations = [json.loads(line) for line in whole[1:]]
-        file.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = file.open("r+b" if whole else "wb")
-        self._stream.seek(sum(map(len, whole)))
-        self._stream.truncate()
-        if not whole:
-            self._append(search_of)
-
-    def _compare(self, line: bytes, search_of: dict[str, Any]) -> None:
-        try:
-            before = json.loads(line)
-            differ = [key for key in search_of if before.get(key) != search_of[key]]
-        except (ValueError, AttributeError):
-            raise UserError(f"{self.file}: is no checkpoint of a search; remove it or name another --out.") from None
-        if differ:
-            key = differ[0]
-            shown = f"found {before.get(key)}, now {search_of[key]}"
-            words = {
-                "tuning": "the tuning file has changed since",
-                "sources": "the package has changed since, within the same version",
-            }
-            raise UserError(
-                f"{self.file}: continues another search: {words.get(key, f'{key}: {shown}')}; "
-                "remove it to begin anew, or name another --out."
-            )
-
-    def add(self, record: dict[str, Any]) -> None:
-        """Keep a generation; it is on the disk when this returns."""
-        self._append(record)
-        self.generations.append(record)
-
-    def _append(self, record: dict[str, Any]) -> None:
-        self._stream.write(json.dumps(record).encode() + b"\n")
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-
-    def close(self) -> None:
-        """Close the file; it stays."""
-        self._stream.close()
-
-
-def checkpoint_file(out: Path) -> Path:
-    """Where the checkpoint of the result `out` lies."""
-    return out.with_name(f"{out.stem}.checkpoint.jsonl")
-
-
-def sources() -> str:
-    """Digest of the modules that a cost depends on."""
-    package, digest = Path(__file__).parent, hashlib.sha256()
-    for pattern in _SOURCES:
-        for file in sorted(package.glob(pattern)):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 def tune(file: Path, out: Path, plan: Plan, command: str, progress: Progress = lambda _: None) -> Tuned:
     """Search, continuing a checkpoint beside `out`, and write the best values to `out`.
 
@@ -285,28 +214,31 @@ class _Run:
                 "since; remove it to begin anew."
             )
         for one, its_cost in zip(values, record["costs"], strict=True):
-            self._count(number, one, its_cost, 0)
+            self._count(one, its_cost, 0)
+        self._finish(number, 0)
         return record["costs"]
 
     def _now(self, number: int, values: list[Values]) -> list[float]:
+        """Costs of a generation driven now; what was driven before is known."""
         fresh = {tuple(one.values()): one for one in values if tuple(one.values()) not in self._known}
-        for (place, one), its_cost in zip(fresh.items(), self._crew.costs(list(fresh.values())), strict=True):
-            self._known[place] = its_cost
-            self._count(number, one, its_cost, 1)
+        for one, its_cost in zip(fresh.values(), self._crew.costs(list(fresh.values())), strict=True):
+            self._count(one, its_cost, 1)
         costs = [self._known[tuple(one.values())] for one in values]
         self._kept.add({"generation": number, "costs": costs, "values": [list(one.values()) for one in values]})
-        evaluations = self.step.evaluations + len(values) - len(fresh)
-        self.step = self.step._replace(generation=number, evaluations=evaluations)
-        self._tell(self.step)
+        self._finish(number, len(values) - len(fresh))
         return costs
 
-    def _count(self, number: int, values: Values, its_cost: float, driven: int) -> None:
+    def _count(self, values: Values, its_cost: float, driven: int) -> None:
         self._known[tuple(values.values())] = its_cost
         if its_cost < self.step.best:
             self.best = values
-        best = min(its_cost, self.step.best)
-        evaluations = self.step.evaluations + 1
-        self.step = Step(number, evaluations, self.step.driven + driven, self.step.start, best)
+        step = self.step
+        best = min(its_cost, step.best)
+        self.step = Step(step.generation, step.evaluations + 1, step.driven + driven, step.start, best)
+        self._tell(self.step)
+
+    def _finish(self, number: int, known: int) -> None:
+        self.step = self.step._replace(generation=number, evaluations=self.step.evaluations + known)
         self._tell(self.step)
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from emran_sumo import locate
 from emran_sumo.bench import BenchRun, scores
 from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.errors import UserError, nearest_name
@@ -14,7 +15,7 @@ from emran_sumo.scenario import Scenario, checked, find, flat, to_dict, values_i
 
 SCALES = ("linear", "log", "integer")
 START = "start"  # reference: the start values themselves
-DIGITS = 6  # significant, of a value: what is tried is what the result file says
+DIGITS = 5  # significant, of a value: what is tried is what the result file says
 _PARTS = ("low", "high", "scale", "start", "share_of")
 _OWN = ("name", "weight", "terms", "scenario")  # keys of a case that are none of a scenario
 
@@ -80,6 +81,23 @@ def _place(gene: Gene) -> float:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
+
+
+def find_file(name: str) -> Path:
+    """The tuning file itself, or the shipped one of that name.
+
+    Raises:
+        UserError: there is none.
+    """
+    if Path(name).is_file():
+        return Path(name)
+    shipped = locate.folder("scenarios") / "tuning"
+    known = sorted(file.stem for file in shipped.glob("*.toml") if "." not in file.stem)
+    if name in known:
+        return shipped / f"{name}.toml"
+    if Path(name).suffix == ".toml":
+        raise UserError(f"{name}: no such tuning file.")
+    raise UserError(f'Unknown tuning file "{name}". {nearest_name(name, known)}')
 
 
 def read(file: Path) -> Tuning:
@@ -152,7 +170,7 @@ def _number(file: Path, where: str, value: object, least: float = -math.inf) -> 
 
 def _cases(file: Path, given: object, shared: dict[str, Any], terms: dict[str, float]) -> tuple[Case, ...]:
     if not isinstance(given, tuple) or not given or not all(isinstance(table, dict) for table in given):
-        raise UserError(f"{file}: cases: found {'nothing' if not given else given!r}; accepted are tables [[cases]].")
+        raise UserError(f"{file}: cases: found {given or 'nothing'}; accepted are tables [[cases]].")
     found: list[Case] = []
     for i, table in enumerate(given):
         name = table.get("name")

@@ -12,7 +12,7 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics maneuver scenario",
-    "ego drive bench report tuning search tune",
+    "ego drive bench report tuning search checkpoint tune",
     "terminal cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}

@@ -100,7 +100,10 @@ WRONG_VALUE = (
     ("lateral.feedforward=1", r"--set: lateral\.feedforward: found 1; accepted is true or false\."),
     ("road=3", r"--set: road: found 3; accepted is a table of keys: friction, speed_limit\."),
     ("lateral=3", r"--set: lateral: found 3; accepted is a table of keys: .*\bemran\b.*\."),
-    ("rates.sumo_step=0.033", r"--set: rates\.driver_step: found 0\.2 s; .* multiple of rates\.sumo_step \(0\.033 s\)\."),
+    (
+        "rates.sumo_step=0.033",
+        r"--set: rates\.driver_step: found 0\.2 s; .* multiple of rates\.sumo_step \(0\.033 s\)\.",
+    ),
     (
         "rates.control_step=0.02",
         r"--set: rates\.sumo_step: found 0\.05 s; .* multiple of rates\.control_step \(0\.02 s\)\.",
@@ -154,12 +157,18 @@ def test_wrong_words_on_the_command_line_are_refused(refused, words, sentence):
         (changed(TOML, 'routes = ["cars.rou.xml"]\n', ""), r'key "routes" is missing; .*\.'),
         (changed(TOML, '["cars.rou.xml"]', "[]"), r'key "routes" is missing; .*\.'),
         (changed(TOML, "routes =", "rotes ="), r'unknown key "rotes"\. Did you mean "routes"\?'),
-        (changed(TOML, "[road]\nspeed_limit = 22.22\n", "road = 3\n"), r"road: found 3; accepted is a table of keys: .*"),
+        (
+            changed(TOML, "[road]\nspeed_limit = 22.22\n", "road = 3\n"),
+            r"road: found 3; accepted is a table of keys: .*",
+        ),
         (TOML + "denisty = 3\n", r'unknown key "traffic\.denisty"\. Did you mean "traffic\.density"\?'),
         (changed(TOML, "22.22", "80"), r"road\.speed_limit: found 80; accepted is a number from 0 to 70 m/s\."),
         (changed(TOML, "22.22", "nan"), r"road\.speed_limit: found nan; accepted is a number from 0 to 70 m/s\."),
         (changed(TOML, "22.22", '"fast"'), r'road\.speed_limit: found "fast"; accepted is a number from 0 to 70 m/s\.'),
-        (TOML + "[rates]\nsumo_step = 0.055\n", r"rates\.driver_step: found 0\.2 s; .* rates\.sumo_step \(0\.055 s\)\."),
+        (
+            TOML + "[rates]\nsumo_step = 0.055\n",
+            r"rates\.driver_step: found 0\.2 s; .* rates\.sumo_step \(0\.055 s\)\.",
+        ),
         ('controller = "none"\n' + TOML, r'controller: found "none"\. Known: .*\.'),
     ],
 )
@@ -176,9 +185,17 @@ EGO = '<vehicle id="ego" type="ego_sedan" route="through" depart="0" departLane=
     ("old", "new", "sentence"),
     [
         # SUMO's own reasons, which appear on file descriptor 2 only
-        ("merge main_mid", "merge main_mod", r"SUMO cannot start with .*The edge 'main_mod' within the route 'through' .*"),
+        (
+            "merge main_mid",
+            "merge main_mod",
+            r"SUMO cannot start with .*The edge 'main_mod' within the route 'through' .*",
+        ),
         ("diverge off_ramp", "diverge of_ramp", r"SUMO cannot .*The edge 'of_ramp' within the route 'exit' .*"),
-        ('type="ego_sedan"', 'type="sedan"', r"SUMO cannot .*The vehicle type 'sedan' for vehicle 'ego' is not known\."),
+        (
+            'type="ego_sedan"',
+            'type="sedan"',
+            r"SUMO cannot .*The vehicle type 'sedan' for vehicle 'ego' is not known\.",
+        ),
         ('departSpeed="20"', 'departSpeed="fast"', r"SUMO cannot .*Invalid departSpeed definition 'fast' .*"),
         ('departLane="1"', 'departLane="9"', r"SUMO stopped: Invalid departLane definition for vehicle 'ego'\."),
         ('departSpeed="20"', 'departSpeed="99"', r"SUMO stopped: Departure speed for vehicle 'ego' is too high .*"),
@@ -198,7 +215,11 @@ EGO = '<vehicle id="ego" type="ego_sedan" route="through" depart="0" departLane=
         ('value="25"', 'value="0"', r'vehicle "ego": param double_lane_change\.length_out: found "0"; .* above 0 m\.'),
         ('value="21.95"', 'value="-1"', r'vehicle "ego": param double_lane_change\.length_back: found "-1"; .*'),
         ('value="left"', 'value="up"', r'vehicle "ego": .*direction: found "up"; accepted is left or right\.'),
-        (EGO, EGO.replace('"1"', '"2"'), r'vehicle "ego": .*direction: found "left", but there is no lane on that side.*'),
+        (
+            EGO,
+            EGO.replace('"1"', '"2"'),
+            r'vehicle "ego": .*direction: found "left", but there is no lane on that side.*',
+        ),
         (
             "double_lane_change.length_out",
             "double_lane_change.lenght_out",

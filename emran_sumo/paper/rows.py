@@ -41,7 +41,7 @@ def rows(half: str) -> tuple[Row, ...]:
     if half == "longitudinal":
         return (
             PLAIN, own, Row("coupled-base", _BASE, "coupled-base"),
-            Row("observer instead of network", _OBSERVER, "coupled-base"), Row(MAIN, {}, "coupled-base"),
+            Row("observer, no neurons", _OBSERVER, "coupled-base"), Row(MAIN, {}, "coupled-base"),
         )  # fmt: skip
     return (
         PLAIN,
@@ -50,7 +50,7 @@ def rows(half: str) -> tuple[Row, ...]:
         Row("observer, accuracy mode", _OBSERVER, BASE_ACCURACY),
         Row(ACCURACY, {}, BASE_ACCURACY),
         Row("coupled-base", {**_BASE, **_CUT}, "coupled-base"),
-        Row("observer instead of network", {**_OBSERVER, **_CUT}, "coupled-base"),
+        Row("observer, no neurons", {**_OBSERVER, **_CUT}, "coupled-base"),
         Row(MAIN, _CUT, "coupled-base"),
     )
 

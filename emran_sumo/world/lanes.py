@@ -3,51 +3,125 @@
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
+from scipy.ndimage import maximum_filter1d
 
-from emran_sumo.path import Path
+from emran_sumo.path import Path, point_at, shifted, wrap
 
 SPACING = 0.25  # m between points of a path
 SAMPLING = 1.0  # m between the points that are smoothed
 # third differences are penalized so that waves shorter than this are noise of the lane's polyline
 SHORTEST_WAVE = 60.0  # m
+LANE_TOLERANCE = 0.25  # m beside the center line of a lane
+JUNCTION_TOLERANCE = 0.6  # m inside junctions
+KINK = 0.6  # rad within 4 m: sharper than any lane is driven
+TIGHTEST = 6.0  # m, radius that a car can turn
+ROUNDS = 20
 
 
-def joined(shapes: list[np.ndarray]) -> np.ndarray:
-    """One polyline (n, 3) from the center lines of successive lanes, without repeated points."""
-    points = np.vstack(shapes)
+def joined(shapes: list[np.ndarray], tolerances: list[float] | None = None) -> np.ndarray:
+    """One polyline (n, 4) of x, y, z [m] and tolerance [m] from the center lines of successive lanes.
+
+    tolerances: how far the path may leave each lane's center line; LANE_TOLERANCE where not given. Points that repeat
+    the one before are left out.
+    """
+    given = tolerances or [LANE_TOLERANCE] * len(shapes)
+    points = np.vstack([np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(shapes, given, strict=True)])
     distance = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate(([True], distance > 0.01))]
 
 
 def smooth_path(points: np.ndarray) -> Path:
-    """Path along a polyline (n, 3) [m], without the corners of its vertices.
+    """Path along a polyline (n, 4) of x, y, z and tolerance [m], without the corners of its vertices.
 
     The polyline is sampled every meter; the smoothed points p minimize
 
-        sum |p - q|^2 + lambda sum |third difference of p|^2,   lambda = (SHORTEST_WAVE / 2 pi)^6
+        sum w |p - q|^2 + lambda sum |third difference of p|^2,   lambda = (SHORTEST_WAVE / 2 pi)^6
 
-    so that curves keep their shape and the curvature is smooth enough to be driven.
+    with w = 1 where that stays within the tolerance. Where it would not (real turns), w grows until it does.
     """
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))))
     count = max(int(along[-1] / SAMPLING) + 1, 8)
     grid = np.linspace(0.0, along[-1], count)
-    raw = np.column_stack([np.interp(grid, along, points[:, k]) for k in range(points.shape[1])])
-    smooth = _smooth(raw, (SHORTEST_WAVE / (2.0 * np.pi * grid[1])) ** 6)
+    raw = np.column_stack([np.interp(grid, along, points[:, k]) for k in range(3)])
+    tolerance = np.maximum(np.interp(grid, along, points[:, 3]), _room_for_kinks(raw))
+    stiffness = (SHORTEST_WAVE / (2.0 * np.pi * grid[1])) ** 6
+    weight = np.ones(count)
+    smooth = raw
+    for _ in range(ROUNDS):
+        smooth = _smooth(raw, weight, stiffness)
+        excess = np.hypot(*(smooth - raw)[:, :2].T) / tolerance
+        if excess.max() <= 1.0:
+            break
+        # neighbors too: a single stiff point would only move the bulge
+        weight *= np.clip(maximum_filter1d(excess, 7), 1.0, 10.0) ** 2
     curve = make_interp_spline(grid, smooth, k=5)
     return _by_arc_length(curve, along[-1])
 
 
-def _smooth(points: np.ndarray, weight: float) -> np.ndarray:
+def _room_for_kinks(points: np.ndarray) -> np.ndarray:
+    """Tolerance (n,) [m] that a turn of TIGHTEST needs where the line turns by more than KINK within 4 m."""
+    along = np.diff(points[:, :2], axis=0)
+    heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    turn = np.zeros(len(points))
+    turn[3:-3] = np.abs(heading[5:] - heading[:-5])
+    turn = np.where(turn > KINK, np.minimum(turn, 2.2), 0.0)
+    return maximum_filter1d(TIGHTEST * (1.0 / np.cos(0.5 * turn) - 1.0), 2 * int(TIGHTEST / SAMPLING) + 1)
+
+
+def _smooth(points: np.ndarray, weight: np.ndarray, stiffness: float) -> np.ndarray:
     n = len(points)
     difference = np.array([-1.0, 3.0, -3.0, 1.0])
     bands = np.zeros((4, n))
     for offset in range(4):
         for i in range(4 - offset):
             # row j of the difference matrix touches columns j .. j + 3
-            product = difference[i] * difference[i + offset]
-            bands[offset, i : i + n - 3] += weight * product
-    bands[0] += 1.0
-    return solveh_banded(bands, points, lower=True)
+            bands[offset, i : i + n - 3] += stiffness * difference[i] * difference[i + offset]
+    bands[0] += weight
+    return solveh_banded(bands, weight[:, None] * points, lower=True)
+
+
+def speed_cap(path: Path, accel_lat: float, decel: float) -> np.ndarray:
+    """Highest speed (n,) [m/s] along a path that keeps the lateral acceleration and can be braked down to.
+
+    accel_lat [m/s2] in bends; decel [m/s2] before them.
+    """
+    cap = np.sqrt(accel_lat / np.maximum(np.abs(path.curvature), 1e-6))
+    squared = cap**2
+    step = 2.0 * decel * path.spacing
+    # v^2 may fall by `step` from point to point: a running minimum of v^2 plus the distance already spent
+    index = np.arange(squared.size)
+    return np.sqrt(np.minimum.accumulate((squared + step * index)[::-1])[::-1] - step * index)
+
+
+def blended(target: Path, path: Path, position: float, target_position: float, length: float) -> Path:
+    """The target path, reached from `path` by a quintic lateral move without a kink.
+
+    At `position` on `path` (`target_position` on the target) the result agrees with `path` in place, direction and
+    curvature; `length` [m] later it is on the target.
+    """
+    here, there = point_at(path, position), point_at(target, target_position)
+    d0 = -(here.x - there.x) * np.sin(there.yaw) + (here.y - there.y) * np.cos(there.yaw)
+    turn = float(np.clip(wrap(here.yaw - there.yaw), -1.0, 1.0))
+    scale = 1.0 - there.curvature * d0
+    d1 = scale * np.tan(turn)
+    d2 = (here.curvature * scale / np.cos(turn) - there.curvature) * scale / np.cos(turn) ** 2
+    u = (np.arange(target.x.size) * target.spacing - target_position) / length
+    offset, slope, bend = _quintic(np.clip(u, 0.0, 1.0), d0, d1 * length, d2 * length**2)
+    behind, ahead = u < 0.0, u > 1.0
+    # behind the car the move goes on straight for a car's length; nobody drives there
+    back = np.maximum(u[behind] * length, -10.0)
+    offset[behind], slope[behind], bend[behind] = d0 + d1 * back, d1 * length, 0.0
+    offset[ahead] = slope[ahead] = bend[ahead] = 0.0
+    return shifted(target, offset, slope / length, bend / length**2)
+
+
+def _quintic(u: np.ndarray, p0: float, v0: float, a0: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quintic of u in [0, 1] from (p0, v0, a0) to rest at 0, with first and second derivative."""
+    c3 = -10.0 * p0 - 6.0 * v0 - 1.5 * a0
+    c4 = 15.0 * p0 + 8.0 * v0 + 1.5 * a0
+    c5 = -6.0 * p0 - 3.0 * v0 - 0.5 * a0
+    p = np.polynomial.Polynomial([p0, v0, 0.5 * a0, c3, c4, c5])
+    return p(u), p.deriv()(u), p.deriv(2)(u)
 
 
 def _by_arc_length(curve, end: float) -> Path:

@@ -222,7 +222,17 @@ class SumoWorld:
                 self._place(ego, pose._replace(x=x, y=y))
             self._pending = True
             libsumo.simulation.executeMove()
-            return {ego: Intent(max(libsumo.vehicle.getSpeedWithoutTraCI(ego), 0.0)) for ego in poses}
+            return {ego: Intent(self._wish(ego)) for ego in poses}
+
+    def _wish(self, ego: str) -> float:
+        """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
+
+        That is a negative speed to SUMO, in whose place it reports the present one: taken as it is, the ego would
+        creep into a standing leader.
+        """
+        wish, present = libsumo.vehicle.getSpeedWithoutTraCI(ego), libsumo.vehicle.getSpeed(ego)
+        stops = wish == present <= libsumo.vehicle.getEmergencyDecel(ego) * self.step
+        return 0.0 if stops else max(wish, 0.0)
 
     def commit(self, poses: dict[str, Pose]) -> None:
         """Write the true poses of the egos at the end of the step back and finish the step."""

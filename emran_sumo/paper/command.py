@@ -1,0 +1,78 @@
+"""`emran-sumo paper`: words in, tables out."""
+
+import json
+from pathlib import Path
+
+from emran_sumo.kernels import compiled_before
+from emran_sumo.paper import document, layout, show, tables
+from emran_sumo.paper.tables import Condition, Record
+from emran_sumo.paper.timing import HOW, timings
+
+
+def paper(
+    names: list[str], *, json_file: Path | None = None, markdown: Path | None = None, literal: bool = False,
+    noise: bool = False, delay: int = 0, workers: int | None = None,
+) -> None:  # fmt: skip
+    """Recompute the tables `names`, or all of them, and print them; see the command line for the rest.
+
+    Raises:
+        UserError: a table or a delay that is none.
+    """
+    how, wanted = tables.condition(noise, delay), tables.chosen(names)
+    out = show.console()
+    if not compiled_before():
+        out.print("compiling the kernels, once per version: about half a minute")
+    if markdown:
+        markdown.write_text(_whole(workers), encoding="utf-8")
+        return
+    sheets, records = _computed(wanted, how, literal, workers)
+    for sheet in sheets:
+        show.show(sheet, out)
+    if json_file:
+        text = json.dumps([record._asdict() for record in records], indent=1)
+        json_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _computed(
+    wanted: tuple[str, ...], how: Condition, literal: bool, workers: int | None
+) -> tuple[list[layout.Sheet], list[Record]]:
+    sheets: list[layout.Sheet] = []
+    records: list[Record] = []
+    with show.progress() as bar:
+        task = bar.add_task("driving")
+        driven = tables.driven_tables(wanted)
+        if driven:
+            found = tables.results(
+                driven, how, literal, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            )
+            sheets += layout.sheets(driven, found, how)
+            records += tables.records(driven, found, how)
+        if "memory" in wanted and not literal:
+            passes = tables.memory_results(
+                how, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            )
+            sheets.append(layout.memory_sheet(passes, how))
+            records += tables.memory_records(passes, how)
+    if "timing" in wanted and not literal:
+        found = timings()
+        sheets.append(layout.timing_sheet(found, HOW))
+        records += tables.timing_records(found)
+    return sheets, records
+
+
+def _whole(workers: int | None) -> str:
+    """The document: everything, in every condition."""
+    everything = tables.chosen([])
+    cases = tuple(name for name in everything if name in tables.TABLES)
+    plans = (
+        ("tables", cases, Condition(), False),
+        ("literal", ("III", "IV", "V", "VI", "VII", "VIII"), Condition(), True),
+        ("memory", ("memory",), Condition(), False),
+        ("memory under noise", ("memory",), tables.condition(noise=True), False),
+        ("blind", ("blind",), Condition(), False),
+        ("noise", cases, tables.condition(noise=True), False),
+        ("delay", cases, tables.condition(delay=10), False),
+        ("delay 20", cases, tables.condition(delay=20), False),
+        ("timing", ("timing",), Condition(), False),
+    )
+    return document.document([(name, _computed(w, how, literal, workers)[0]) for name, w, how, literal in plans])

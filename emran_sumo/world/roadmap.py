@@ -1,0 +1,157 @@
+"""Lanes as SUMO knows them: shapes, chains along a route, and what lies beside a point."""
+
+import math
+from typing import NamedTuple
+
+import libsumo
+import numpy as np
+
+from emran_sumo.path import Path
+from emran_sumo.world.lanes import JUNCTION_TOLERANCE, LANE_TOLERANCE, joined, smooth_path
+from emran_sumo.world.records import Lane, Road
+
+BEHIND = 30.0  # m of the lane before that a path keeps, for the rear of the car
+HORIZON = 6000.0  # m that a path looks ahead at the most
+
+
+class Beside(NamedTuple):
+    """Nearest point of a line: coordinates [m], direction [rad], signed distance to it [m], left positive."""
+
+    x: float
+    y: float
+    yaw: float
+    offset: float
+
+
+class RoadMap:
+    """Geometry of the running simulation's network; every shape is asked of SUMO once."""
+
+    def __init__(self) -> None:
+        self._shapes: dict[str, np.ndarray] = {}
+        self._paths: dict[tuple[str, ...], Path] = {}
+
+    def shape(self, lane: str) -> np.ndarray:
+        """Center line (n, 3) of a lane [m]."""
+        if lane not in self._shapes:
+            shape = np.array(libsumo.lane.getShape(lane), dtype=float)
+            flat = shape.shape[1] < 3
+            self._shapes[lane] = np.column_stack((shape, np.zeros(len(shape)))) if flat else shape
+        return self._shapes[lane]
+
+    def beside(self, lane: str, x: float, y: float) -> Beside:
+        """The point of a lane's center line nearest to (x, y) [m]."""
+        line = self.shape(lane)[:, :2]
+        start, along = line[:-1], np.diff(line, axis=0)
+        squared = np.maximum((along**2).sum(1), 1e-12)
+        share = np.clip(((x - start[:, 0]) * along[:, 0] + (y - start[:, 1]) * along[:, 1]) / squared, 0.0, 1.0)
+        foot = start + share[:, None] * along
+        k = int(np.argmin((foot[:, 0] - x) ** 2 + (foot[:, 1] - y) ** 2))
+        yaw = math.atan2(along[k, 1], along[k, 0])
+        offset = -(x - foot[k, 0]) * math.sin(yaw) + (y - foot[k, 1]) * math.cos(yaw)
+        return Beside(float(foot[k, 0]), float(foot[k, 1]), yaw, float(offset))
+
+    def path(self, lane: str, route: tuple[str, ...], index: int) -> Path:
+        """Smooth path from before `lane` along the route, whose edge `index` the lane belongs to (or leads to)."""
+        chain = self._chain(lane, route, index)
+        if chain not in self._paths:
+            if len(self._paths) > 256:
+                self._paths.clear()
+            tolerances = [JUNCTION_TOLERANCE if name.startswith(":") else LANE_TOLERANCE for name in chain]
+            points = joined([self.shape(name) for name in chain], tolerances)
+            self._paths[chain] = smooth_path(_extended(points))
+        return self._paths[chain]
+
+    def _chain(self, lane: str, route: tuple[str, ...], index: int) -> tuple[str, ...]:
+        """Lane ids from the lane before `lane` to the end of the route, or as far as lanes connect."""
+        ahead = self._ahead(lane, route, index)
+        before: list[str] = []
+        if not lane.startswith(":") and index > 0:
+            before = self._before(lane, route[index - 1])
+        return (*before, *ahead)
+
+    def _ahead(self, lane: str, route: tuple[str, ...], index: int) -> list[str]:
+        """The chain that follows the route farthest; of equal ones the one with the fewest turns of lane."""
+        chain = [lane]
+        if lane.startswith(":"):
+            chain += self._through(lane)
+            lane = chain[-1]
+            edge = libsumo.lane.getEdgeID(lane)
+            index = route.index(edge, index) if edge in route[index:] else index
+        reach = self._reach(route, index)
+        length = libsumo.lane.getLength(lane)
+        for following in route[index + 1 :]:
+            links = [link for link in libsumo.lane.getLinks(lane) if libsumo.lane.getEdgeID(link[0]) == following]
+            if not links or length > HORIZON:
+                break
+            best = max(links, key=lambda link: reach.get(link[0], 0))
+            chain += self._inside(best[4])
+            lane = best[0]
+            chain.append(lane)
+            length += libsumo.lane.getLength(lane)
+        return chain
+
+    def _reach(self, route: tuple[str, ...], index: int) -> dict[str, int]:
+        """How many further edges of the route can be followed from each of its lanes, without a lane change."""
+        reach: dict[str, int] = {}
+        edges = route[index : index + 30]
+        for i in range(len(edges) - 1, -1, -1):
+            for k in range(libsumo.edge.getLaneNumber(edges[i])):
+                lane = f"{edges[i]}_{k}"
+                following = [reach[link[0]] + 1 for link in libsumo.lane.getLinks(lane) if link[0] in reach]
+                if i + 1 < len(edges):
+                    reach[lane] = max(following, default=0)
+                else:
+                    reach[lane] = 0
+        return reach
+
+    def _inside(self, via: str) -> list[str]:
+        """Lanes inside a junction from `via` on; there may be two in a row."""
+        found: list[str] = []
+        while via and via.startswith(":"):
+            found.append(via)
+            links = libsumo.lane.getLinks(via)
+            via = links[0][4] if links else ""
+        return found
+
+    def _through(self, internal: str) -> list[str]:
+        """What follows a lane inside a junction, up to the lane behind it."""
+        links = libsumo.lane.getLinks(internal)
+        if not links:
+            return []
+        return [*self._inside(links[0][4]), links[0][0]]
+
+    def _before(self, lane: str, edge: str) -> list[str]:
+        """The lane of `edge` that leads into `lane`, and the junction between."""
+        for k in range(libsumo.edge.getLaneNumber(edge)):
+            name = f"{edge}_{k}"
+            for link in libsumo.lane.getLinks(name):
+                if link[0] == lane:
+                    return [name, *self._inside(link[4])]
+        return []
+
+    def neighbor(self, lane: str, side: int) -> str | None:
+        """The lane beside (side +1 left, -1 right) on the same edge, or None."""
+        edge, _, index = lane.rpartition("_")
+        beside = int(index) + side
+        return f"{edge}_{beside}" if 0 <= beside < libsumo.edge.getLaneNumber(edge) else None
+
+    def road(self) -> Road:
+        """Lanes outside junctions and the junctions' outlines."""
+        lanes = []
+        for edge in libsumo.edge.getIDList():
+            if edge.startswith(":"):
+                continue
+            count = libsumo.edge.getLaneNumber(edge)
+            for index in range(count):
+                name = f"{edge}_{index}"
+                lanes.append(Lane(name, edge, index, count, libsumo.lane.getWidth(name), self.shape(name)))
+        shapes = [np.array(libsumo.junction.getShape(name)) for name in libsumo.junction.getIDList()]
+        return Road(tuple(lanes), tuple(shape[:, :2] for shape in shapes if shape.ndim == 2 and len(shape) > 2))
+
+
+def _extended(points: np.ndarray) -> np.ndarray:
+    """The line with 60 m straight on at its end: the preview looks beyond the end of the route."""
+    direction = points[-1, :2] - points[-2, :2]
+    end = points[-1].copy()
+    end[:2] += 60.0 * direction / max(float(np.hypot(*direction)), 1e-9)
+    return np.vstack((points, end))
