@@ -31,6 +31,7 @@ from emran_sumo.recording.table import write_trace
 from emran_sumo.report import summary_markdown
 from emran_sumo.scenario import Located, Scenario, to_dict
 from emran_sumo.world.demand import write_demand
+from emran_sumo.world.flow import PERIOD, Flow
 from emran_sumo.world.network import main_limit
 from emran_sumo.world.routes import check_ego, departures
 from emran_sumo.world.sumo import SumoWorld
@@ -155,11 +156,12 @@ def _open_sumo(scenario: Scenario, folder: Path, network: Path, routes: list[Pat
 
 
 class Seen(NamedTuple):
-    """What the host loop counts: largest mirror error [m], crashes among others, mean number of vehicles."""
+    """What the host loop counts: largest mirror error [m], crashes among others, mean number of vehicles, traffic."""
 
     mirror_error: float
     others_collided: int
     vehicles: float
+    traffic: dict[str, float]
 
 
 def _drive(
@@ -170,6 +172,7 @@ def _drive(
     name = ego.name
     steps = max(round(scenario.duration / world.step), 1)
     worst, crashes, vehicles = 0.0, set(), 0
+    flow, period = Flow() if isinstance(world, SumoWorld) else None, max(round(PERIOD / world.step), 1)
     ended, reason, done = "finished", f"drove {scenario.duration:g} s as planned", 0
     before = None
     for done in range(1, steps + 1):
@@ -185,6 +188,8 @@ def _drive(
         if ego.wanted_side != side:
             world.ask_for_room(name, ego.wanted_side)
         crashes |= {tuple(sorted(pair)) for pair in world.collisions() if name not in pair}
+        if flow is not None and (done - 1) % period == 0:
+            flow.look()
         if recorder is not None:
             recorder.write(rows, traffic, ego.reference_ahead())
             _tell(recorder, ego, rows, before)
@@ -194,7 +199,7 @@ def _drive(
         if outcome is not None:
             ended, reason = outcome
             break
-    return ended, reason, Seen(worst, len(crashes), vehicles / max(done, 1))
+    return ended, reason, Seen(worst, len(crashes), vehicles / max(done, 1), flow.means() if flow else {})
 
 
 def _tell(recorder: Recorder, ego: Ego, rows: np.ndarray, before: np.ndarray | None) -> None:
@@ -251,6 +256,7 @@ def _measure(ego: Ego, trace: np.ndarray, wall: float, seen: Seen, step: float) 
         "comfort": metrics.comfort(trace),
         "effort": metrics.effort(trace),
         "networks": metrics.networks(trace),
+        "traffic": seen.traffic,
         "run": {
             "simulated": float(moving),
             "distance": float(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])).sum()),

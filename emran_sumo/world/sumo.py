@@ -142,7 +142,7 @@ class SumoWorld:
                 said = f" SUMO said: {_one_line(self._last_message)}" if self._last_message else ""
                 raise UserError(
                     f'ego: vehicle "{ego}" of {names} was not on the road when the warm-up ended or within '
-                    f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived.{said}"
+                    f"{WAIT_FOR_DEPARTURE:g} s after it; it must have departed by then and not have arrived.{said}"
                 )
             self._advance()
 
@@ -227,8 +227,7 @@ class SumoWorld:
     def _wish(self, ego: str) -> float:
         """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
 
-        That is a negative speed to SUMO, in whose place it reports the present one: taken as it is, the ego would
-        creep into a standing leader.
+        To SUMO that is a negative speed, in whose place it reports the present one: the ego would creep on.
         """
         wish, present = libsumo.vehicle.getSpeedWithoutTraCI(ego), libsumo.vehicle.getSpeed(ego)
         stops = wish == present <= libsumo.vehicle.getEmergencyDecel(ego) * self.step
