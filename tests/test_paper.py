@@ -101,6 +101,13 @@ def test_words_for_tables_are_checked():
         tables.condition(delay=15)
 
 
+def test_files_and_words_that_cannot_be_are_one_sentence(tmp_path):
+    with pytest.raises(UserError, match=r"^--json: found .*; accepted is a file in a folder that exists\.$"):
+        paper(["VI"], json_file=tmp_path / "nowhere" / "cells.json")
+    with pytest.raises(UserError, match=r"^--literal: accepted with the tables III to IX, XI and blind"):
+        paper(["memory"], literal=True)
+
+
 # ---------------------------------------------------------------- results
 
 

@@ -94,6 +94,7 @@ HILLS_GRADES = [
     *((350.0, 0.0), (300.0, 0.05), (350.0, 0.05), (600.0, -0.055), (300.0, -0.055)),  # 1900 m
     *((500.0, 0.04), (300.0, 0.04), (450.0, -0.03), (250.0, -0.03), (200.0, 0.0), (600.0, 0.0)),  # 4200 m
 ]
+HILLS_BASE = 100.0  # height of the start [m]; SUMO leaves out heights of 0, and a lane should have all or none
 HILLS_LIMITS = ((0.0, 28.0), (2000.0, 25.0), (4200.0, 0.0))  # from where on which limit [m, m/s]
 
 
@@ -103,7 +104,7 @@ def hills() -> Network:
     nodes = ("west", "limit", "east")
     for k, name in enumerate(("fast", "slow")):
         s = samples(HILLS_LIMITS[k][0], HILLS_LIMITS[k + 1][0])
-        left = np.column_stack((offset(HILLS, s, 1.5 * LANE_WIDTH), height(HILLS_GRADES, s)))
+        left = np.column_stack((offset(HILLS, s, 1.5 * LANE_WIDTH), HILLS_BASE + height(HILLS_GRADES, s)))
         edges[name] = Edge(nodes[k], nodes[k + 1], 3, HILLS_LIMITS[k][1], left, 2)
     return Network(edges, _straight(("fast", "slow", 0, 0)))
 

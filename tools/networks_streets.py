@@ -1,5 +1,7 @@
 """The shipped networks with streets: a few hand-made blocks with signals, and a town that netgenerate draws."""
 
+import itertools
+
 import numpy as np
 from networks_roads import Edge, Network
 
@@ -8,7 +10,8 @@ STREET_SPEED = 13.89  # [m/s]
 TURN_LATERAL = "3"  # [m/s2] that limits the speed of a turn on a junction: what drivers accept, not the car
 URBAN_OPTIONS = ("--precision", "3", "--offset.disable-normalization", "true", "--no-turnarounds", "true",
                  "--junctions.corner-detail", "5", "--junctions.internal-link-detail", "20",
-                 "--junctions.limit-turn-speed", TURN_LATERAL, "--tls.cycle.time", "60", "--tls.allred.time", "3")  # fmt: skip
+                 "--junctions.limit-turn-speed", TURN_LATERAL, "--tls.cycle.time", "60",
+                 "--tls.allred.time", "3")  # fmt: skip
 TURN_RADIUS = "10"  # [m] of the curb at a corner
 
 COLUMNS = {"a": 0.0, "b": 200.0, "c": 400.0, "d": 600.0}  # x of the streets from south to north [m]
@@ -43,7 +46,7 @@ def _street(
     edges: dict[str, Edge], places: dict[str, tuple[float, float]], names: list[str], main: bool, priority: int
 ) -> None:
     """Add both directions of a street through the named nodes; an edge from a1 to b1 is called a1.b1."""
-    for a, b in zip(names[:-1], names[1:], strict=True):
+    for a, b in itertools.pairwise(names):
         for start, end in ((a, b), (b, a)):
             line = np.array([places[start], places[end]])
             lanes = 2 if main else 1

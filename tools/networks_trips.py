@@ -31,8 +31,8 @@ def write_trips(network: Path, file: Path) -> None:
         for interval in INTERVALS:
             trips, routes = Path(scratch) / "trips.xml", Path(scratch) / "routes.xml"
             subprocess.run(
-                [sys.executable, home / "tools" / "randomTrips.py", "--net-file", network.resolve(), *OPTIONS, *interval,
-                 "--output-trip-file", trips, "--route-file", routes],
+                [sys.executable, home / "tools" / "randomTrips.py", "--net-file", network.resolve(),
+                 "--output-trip-file", trips, "--route-file", routes, *OPTIONS, *interval],
                 check=True, stdout=subprocess.DEVNULL, env=os.environ | {"SUMO_HOME": str(home)}, cwd=scratch,
             )  # fmt: skip
             lines += [_vehicle(v) for v in ET.parse(routes).getroot().iter("vehicle")]

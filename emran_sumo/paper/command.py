@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from emran_sumo.errors import UserError
 from emran_sumo.kernels import compiled_before
 from emran_sumo.paper import document, layout, show, tables
 from emran_sumo.paper.tables import Condition, Record
@@ -16,9 +17,14 @@ def paper(
     """Recompute the tables `names`, or all of them, and print them; see the command line for the rest.
 
     Raises:
-        UserError: a table or a delay that is none.
+        UserError: a table or a delay that is none, or a file in no folder.
     """
+    for flag, file in (("--json", json_file), ("--markdown", markdown)):
+        if file and not file.resolve().parent.is_dir():
+            raise UserError(f"{flag}: found {file}; accepted is a file in a folder that exists.")
     how, wanted = tables.condition(noise, delay), tables.chosen(names)
+    if literal and not tables.driven_tables(wanted):
+        raise UserError("--literal: accepted with the tables III to IX, XI and blind.")
     out = show.console()
     if not compiled_before():
         out.print("compiling the kernels, once per version: about half a minute")

@@ -155,7 +155,7 @@ def literal_sheet(found: list[Result]) -> Sheet:
         mine = [result for result in found if result.row.name == row]
         groups: dict[str, list[str]] = {
             "loses the car in": [],
-            "errs more than the law alone in": [],
+            "errs no less than the law alone in": [],
             "errs less in": [],
         }
         for result in mine:

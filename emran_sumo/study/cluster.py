@@ -3,6 +3,7 @@
 import contextlib
 import logging
 from concurrent.futures import Future
+from typing import Any
 
 from emran_sumo.errors import UserError
 from emran_sumo.study import identity
@@ -21,10 +22,11 @@ class ClusterPool:
     def __init__(self, address: str) -> None:
         try:
             import distributed
+            from distributed.scheduler import KilledWorker
         except ImportError:
             raise UserError('--dask: needs the extra "cluster": pip install "emran-sumo[cluster]".') from None
         # a task that ends its worker is tried elsewhere by the scheduler before it is given up
-        self.died = (distributed.scheduler.KilledWorker,)
+        self.died: tuple[type[BaseException], ...] = (KilledWorker,)
         quiet = logging.getLogger("distributed")
         quiet.setLevel(logging.CRITICAL)
         try:
@@ -50,7 +52,8 @@ class ClusterPool:
     @property
     def room(self) -> int:
         """How many runs may be under way: one for each worker, one waiting behind it."""
-        return 2 * max(len(self._client.nthreads()), 1)
+        workers: Any = self._client.nthreads()
+        return 2 * max(len(workers), 1)
 
     def submit(self, task: Task) -> "Future[Outcome]":
         """Hand a run to the scheduler."""

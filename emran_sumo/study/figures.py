@@ -28,7 +28,7 @@ _WORDS = {
     "duration": "duration (s)",
     "": "",
 }
-STYLE = {
+STYLE: Any = {
     "font.size": 8.0,
     "axes.titlesize": 8.0,
     "axes.labelsize": 8.0,
@@ -75,6 +75,11 @@ def words(key: str) -> str:
     return _WORDS.get(key, key)
 
 
+def short(key: str) -> str:
+    """A factor in words without its unit."""
+    return words(key).partition(" (")[0]
+
+
 def image(figure: Figure, kind: str) -> bytes:
     """A figure as "svg", "png" or "pdf"; equal figures give equal bytes."""
     sink = io.BytesIO()
@@ -84,7 +89,7 @@ def image(figure: Figure, kind: str) -> bytes:
     return sink.getvalue()
 
 
-def _sheet(panels: int, columns: int, height: float = 1.75) -> tuple[Figure, list[Axes]]:
+def _sheet(panels: int, columns: int, height: float = 1.6) -> tuple[Figure, list[Axes]]:
     columns = min(columns, panels)
     rows = -(-panels // columns)
     figure = Figure(figsize=(_WIDTH, height * rows + 0.35))
@@ -164,8 +169,8 @@ def _metrics(cut: Slice) -> Drawn | None:
     figure.supxlabel(words(cut.x), fontsize=8.0)
     _legend(figure, sheet[0])
     caption = (
-        f"Mean over the seeds with its 95 % bootstrap band. Time to collision and deceleration to avoid are the worst of "
-        f"a run; they count as {HORIZON:g} s where no vehicle ahead was closer than that, and as at most "
+        f"Mean over the seeds with its 95 % bootstrap band. Time to collision and deceleration to avoid are the worst "
+        f"of a run; they count as {HORIZON:g} s where no vehicle ahead was closer than that, and as at most "
         f"{GRAVITY:g} m/s², which no brake exceeds."
     )
     return Drawn("metrics", f"Tracking, comfort and safety against {words(cut.x) or 'one another'}", caption, figure)
@@ -204,9 +209,9 @@ def _paired(cut: Slice) -> Drawn | None:
     once = dict(zip(labels, handles, strict=True))
     figure.legend(once.values(), once.keys(), loc="outside upper center", ncols=2)
     caption = (
-        "Mean of the differences between runs of equal seed with its 95 % bootstrap interval; below zero, the named one "
-        "is lower. Filled where Wilcoxon's signed-rank test, corrected after Holm over the values on the axis, gives "
-        f"p < {SIGNIFICANT:g}."
+        "Mean of the differences between runs of equal seed with its 95 % bootstrap interval; below zero, the named "
+        "one is lower. Filled where Wilcoxon's signed-rank test, corrected after Holm over the values on the axis, "
+        f"gives p < {SIGNIFICANT:g}."
     )
     return Drawn("differences", f"Paired differences to {cut.names[0]}", caption, figure)
 
@@ -228,7 +233,7 @@ def _least_ttc(cut: Slice) -> Drawn | None:
                 share = np.concatenate(([0.0], below / values.size, [np.mean(values < last)]))
                 style: dict[str, Any] = {"color": COLORS[i % 7], "linestyle": DASHES[i % 7], "label": str(name)}
                 axes.step(np.concatenate(([first], steps, [last])), np.minimum(share, share[-1]), where="post", **style)
-        axes.set_title(f"{words(cut.x).partition(' (')[0]} {x:g}" if isinstance(x, int | float) else str(x or ""))
+        axes.set_title(f"{short(cut.x)} {x:g}" if isinstance(x, int | float) else str(x or ""))
         axes.set_xscale("log")
         axes.set_xlim(first, last)
         axes.set_xticks(ticks := [0.3, 1, 3, 10, 30], [f"{tick:g}" for tick in ticks])
@@ -238,8 +243,8 @@ def _least_ttc(cut: Slice) -> Drawn | None:
     figure.supylabel("share of runs below", fontsize=8.0)
     _legend(figure, sheet[0])
     caption = (
-        f"Share of runs that came closer than the time on the axis; dotted at {CONFLICT:g} s, the conflict threshold of "
-        f"SUMO's SSM device. What is missing to 1 never came below {last:g} s."
+        f"Share of runs that came closer than the time on the axis; dotted at {CONFLICT:g} s, the conflict threshold "
+        f"of SUMO's SSM device. What is missing to 1 never came below {last:g} s."
     )
     return Drawn("least_ttc", "Distribution of the least time to collision", caption, figure)
 
@@ -274,9 +279,7 @@ def _collisions(cut: Slice) -> Drawn | None:
 
 
 def _traffic(cut: Slice) -> Drawn | None:
-    density, flow, speed = (
-        Metric(f"traffic.{key}", key, "") for key in ("density", "flow", "speed_mean")
-    )
+    density, flow, speed = (Metric(f"traffic.{key}", key, "") for key in ("density", "flow", "speed_mean"))
     seeds = cut.seeds()
     some = any(np.isfinite(cut.values(flow, n, x, seeds)).any() for n, x in cut.cells)
     figure, sheet = _sheet(3 if some else 1, 3, 2.2)
@@ -284,13 +287,14 @@ def _traffic(cut: Slice) -> Drawn | None:
         _line(sheet[0], cut, i, _means(cut, TRAVEL_TIME, name))
         if some:
             k, q, v = (
-                np.concatenate([cut.values(metric, name, x, seeds) for x in cut.xs]) for metric in (density, flow, speed)
+                np.concatenate([cut.values(metric, name, x, seeds) for x in cut.xs])
+                for metric in (density, flow, speed)
             )
             dots: dict[str, Any] = {"marker": MARKERS[i % 7], "s": 11, "facecolors": "none", "linewidths": 0.8}
             sheet[1].scatter(k, q, color=COLORS[i % 7], **dots)
             sheet[2].scatter(k, v, color=COLORS[i % 7], **dots)
     sheet[0].set_title("Travel time of the ego (s/km)")
-    sheet[0].set_xlabel(words(cut.x).partition(" (")[0])
+    sheet[0].set_xlabel(short(cut.x))
     _label_x(sheet[0], cut)
     if some:
         sheet[1].set_title("Flow (vehicles/h per lane)")
@@ -301,7 +305,7 @@ def _traffic(cut: Slice) -> Drawn | None:
             axes.set_ylim(0.0, 1.08 * axes.get_ylim()[1])
     _legend(figure, sheet[0])
     caption = "Travel time: mean with its 95 % bootstrap band." + (
-        " Fundamental diagram of the study's own traffic: one point per run, means over all lanes outside junctions and "
-        "the time of the drive (Edie's definitions)." if some else ""
+        " Fundamental diagram of the study's own traffic: one point per run, means over all lanes outside junctions "
+        "and the time of the drive (Edie's definitions)." if some else ""
     )  # fmt: skip
     return Drawn("traffic", "Travel time, and flow of the traffic", caption, figure)

@@ -23,7 +23,9 @@ code { font: .92em/1.4 ui-monospace, "SF Mono", Menlo, Consolas, monospace; over
 a { color: #0057a3; }
 @page { size: A4; margin: 16mm 15mm; }
 @media print {
-  body { font-size: 10pt; max-width: none; margin: 0; padding: 0; }
+  body { font-size: 9pt; max-width: none; margin: 0; padding: 0; }
+  h1 { font-size: 15pt; } h2 { font-size: 12pt; margin: 1.5rem 0 .5rem; } h3 { font-size: 10pt; margin: 1rem 0 .3rem; }
+  table { font-size: 7pt; } dl { font-size: 8pt; margin-bottom: .5rem; } li { line-height: 1.35; }
   h2, h3, caption { break-after: avoid; } thead { display: table-header-group; } a { color: inherit; }
 }
 """

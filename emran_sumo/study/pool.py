@@ -13,9 +13,12 @@ RECYCLE = 50  # runs of a process before a fresh one takes its place
 
 
 class Pool(Protocol):
-    """Where runs are driven. `died` are the errors of a future whose process died."""
+    """Where runs are driven."""
 
-    died: tuple[type[BaseException], ...]
+    @property
+    def died(self) -> tuple[type[BaseException], ...]:
+        """Errors of a future whose process died."""
+        ...
 
     @property
     def room(self) -> int:
@@ -76,7 +79,7 @@ class LocalPool:
         log: file that takes what the processes print.
     """
 
-    died = (BrokenProcessPool,)
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
     def __init__(self, workers: int, log: Path) -> None:
         self._free = [_Slot(log) for _ in range(workers)]

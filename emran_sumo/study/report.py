@@ -1,6 +1,7 @@
 """A study's answers in files: tables, figures, and one self-contained page."""
 
 import base64
+import itertools
 import math
 from html import escape
 from pathlib import Path
@@ -77,16 +78,16 @@ def _differences(cut: Slice) -> str:
     """The numbers behind the figure of paired differences."""
     head = "".join(f"<th>{escape(_x(cut, x))}</th>" for x in cut.xs)
     body = []
-    for name in cut.names[1:]:
-        if len(cut.names) > 2:
+    first, *others = cut.names
+    for name in others:
+        if len(others) > 1:
             body.append(f'<tr><th colspan="{len(cut.xs) + 1}">{escape(str(name))}</th></tr>')
         for metric in figures.shown_metrics(cut):
             cells = "".join(f"<td>{_pair(pair, metric)}</td>" for pair in figures.comparisons(cut, metric)[name])
             body.append(f"<tr><th>{escape(metric.title)} <small>({escape(metric.unit)})</small></th>{cells}</tr>")
-    first = escape(str(cut.names[0]))
-    names = ", ".join(escape(str(name)) for name in cut.names[1:])
+    names = ", ".join(escape(str(name)) for name in others)
     return (
-        f"<table><caption>{names} minus {first}: mean difference and 95 % interval; change of the mean; pairs in which "
+        f"<table><caption>{names} minus {escape(str(first))}: mean difference and 95 % interval; change of the mean; pairs in which "
         f"it is lower; p (Wilcoxon, Holm)</caption><thead><tr><th></th>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table>"
     )
@@ -95,12 +96,14 @@ def _differences(cut: Slice) -> str:
 def _x(cut: Slice, x: Any) -> str:
     if not cut.x:
         return "all"
-    return f"{figures.words(cut.x).partition(' (')[0]} {x:g}" if isinstance(x, float) else str(x)
+    return f"{figures.short(cut.x)} {x:g}" if isinstance(x, float) else str(x)
 
 
 def _pair(pair: Paired, metric: Metric) -> str:
     if not pair.n:
         return "no pairs"
+    if pair.value == pair.low == pair.high == 0.0:
+        return f"equal <br><small>in all {pair.n}</small>"
     scale = max(abs(v) for v in (pair.value, pair.low, pair.high) if math.isfinite(v))
     digits = 3 if scale < 0.1 else 2 if scale < 10.0 else 1
     digits = 4 if scale < 0.01 else digits
@@ -128,7 +131,8 @@ def _endings(cut: Slice) -> str:
     body = "".join(
         f"<tr><th>{escape(str(name))}</th><td>{escape(_x(cut, x))}</td>"
         + "".join(f"<td>{of_place.get(end, 0) or ''}</td>" for end in ends) + "</tr>"
-        for (name, x), of_place in sorted(counts.items(), key=lambda item: (cut.names.index(item[0][0]), item[0][1] or 0))
+        for name, x in itertools.product(cut.names, cut.xs)
+        if (of_place := counts.get((name, x)))
     )  # fmt: skip
     return (
         "<table><caption>How the runs ended. Metrics of a run that ended early are those of its shorter drive."
@@ -154,8 +158,8 @@ def _worst(rows: list[Row]) -> str:
         for name in ("run", "ended", "least TTC (s)", "largest cross-track error (m)", "drives it again, to run.rrd")
     )
     return (
-        '<table class="worst"><caption>The worst runs: those that ended badly, then by least time to collision, then by '
-        f"cross-track error</caption><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        '<table class="worst"><caption>The worst runs: those that ended badly, then by least time to collision, then '
+        f"by cross-track error</caption><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     )
 
 
@@ -205,7 +209,11 @@ def _answer(cuts: list[Slice]) -> str:
                     shares = [100.0 * p.relative for _, p in clear]
                     low, high = (f"{s:+.0f} %".replace("-", "−") for s in (min(shares), max(shares)))
                     change = low if low == high else f"{low} to {high}"
-                    where = f"at {len(clear)} of {len(cut.xs)} values" if len(cut.xs) > 1 else "significantly"
+                    where = (
+                        f"at {len(clear)} of {len(cut.xs)} values of {figures.short(cut.x)}"
+                        if cut.x
+                        else "significantly"
+                    )
                     slice_ = f" ({_fixed(cut)})" if cut.fixed else ""
                     lines.append(f"<li><b>{escape(metric.title)}</b>{escape(slice_)}: {escape(str(name))} {change} "
                                  f"against {escape(str(cut.names[0]))}, {where}.</li>")  # fmt: skip

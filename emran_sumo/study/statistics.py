@@ -1,5 +1,6 @@
 """What a sample of runs says, and how sure it is: bootstrap bands, paired tests, rates of rare events."""
 
+import functools
 import math
 import warnings
 from typing import NamedTuple
@@ -47,13 +48,15 @@ def mean(values: np.ndarray) -> Estimate:
         return Estimate(1, center, math.nan, math.nan)
     if np.ptp(values) == 0.0:
         return Estimate(values.size, center, center, center)
-    low, high = _bootstrap(values, "BCa")
+    low, high = _bootstrap(values.tobytes(), "BCa")
     if not (math.isfinite(low) and math.isfinite(high)):
-        low, high = _bootstrap(values, "percentile")
+        low, high = _bootstrap(values.tobytes(), "percentile")
     return Estimate(values.size, center, low, high)
 
 
-def _bootstrap(values: np.ndarray, method: str) -> tuple[float, float]:
+@functools.lru_cache(10_000)  # figures, tables and text ask for the same
+def _bootstrap(sample: bytes, method: str) -> tuple[float, float]:
+    values = np.frombuffer(sample)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a degenerate sample is answered with NaN
         found = stats.bootstrap(

@@ -40,7 +40,8 @@ class Outcome(NamedTuple):
     """What became of a run.
 
     state: DONE or FAILED, which are rows, or why the study cannot go on; metrics: dotted name -> value; wall: of
-    everything [s]; simulation: of warm-up and drive alone [s]; driving: of the drive alone [s]; recording: content of the .rrd.
+    everything [s]; simulation: of warm-up and drive alone [s]; driving: of the drive alone [s];
+    recording: content of the .rrd.
     """
 
     key: str
