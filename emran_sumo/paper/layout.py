@@ -169,7 +169,9 @@ def memory_sheet(found: list[Passes], how: Condition) -> Sheet:
         "The rate of the best observer is chosen in the very case, from 0.5 to 20 /s in steering and from 2 to 60 /s in "
         "cruise; the network keeps its frozen values.",
     )
-    return Sheet(_title("memory", "A network against an observer over repeated passes", how), heads, tuple(lines), remarks)
+    return Sheet(
+        _title("memory", "A network against an observer over repeated passes", how), heads, tuple(lines), remarks
+    )
 
 
 def timing_sheet(found: list[Timing], how: str) -> Sheet:

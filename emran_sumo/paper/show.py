@@ -45,7 +45,5 @@ def _cells(line: Line, columns: int) -> list[str]:
         color = "green" if line.good[0] else "bold red"
         rest = [*limits, f"[{color}]{verdict}[/]"]
     else:
-        rest = [
-            f"[green]{cell}[/]" if i < len(line.good) and line.good[i] else cell for i, cell in enumerate(rest)
-        ]
+        rest = [f"[green]{cell}[/]" if i < len(line.good) and line.good[i] else cell for i, cell in enumerate(rest)]
     return [name if line.kind == "case" else f"  {name}", *rest, *[""] * (columns - 1 - len(rest))]

@@ -253,7 +253,10 @@ def memory_records(found: list[memory.Passes], how: Condition) -> list[Record]:
     listed = []
     for line in found:
         case, alone = f"{line.case}, {how.name}" if how.name else line.case, base[line.case]
-        metrics = (*(f"{memory.METRIC[line.half]}_pass_{i + 1}" for i in range(len(line.rms))), memory.METRIC[line.half])
+        metrics = (
+            *(f"{memory.METRIC[line.half]}_pass_{i + 1}" for i in range(len(line.rms))),
+            memory.METRIC[line.half],
+        )
         cells = zip(metrics, (*line.rms, line.overall), (*alone.rms, alone.overall), strict=True)
         listed += [Record("memory", case, line.row, metric, None, ours, without) for metric, ours, without in cells]
     return listed
@@ -288,4 +291,3 @@ def required_results(names: Iterable[str] = TABLES, workers: int | None = None) 
     """The results of which something is required, for tests."""
     found = results(driven_tables(tuple(names)), Condition(), False, workers)
     return [result for result in found if result.row.name in result.case.required]
-

@@ -60,7 +60,12 @@ def _timed(name: str, scenario: Scenario) -> Timing:
     whole, _ = _drive(scenario, n, 1)
     counted = singles[WARM:]
     return Timing(
-        name, float(counted.mean()), float(np.percentile(counted, 99)), float(counted.max()), float(whole[0] / n), neurons
+        name,
+        float(counted.mean()),
+        float(np.percentile(counted, 99)),
+        float(counted.max()),
+        float(whole[0] / n),
+        neurons,
     )
 
 
@@ -84,7 +89,16 @@ def _drive(scenario: Scenario, periods: int, calls: int) -> tuple[np.ndarray, in
             clock = scenario.clock(call * size)
             began = time.perf_counter()
             state, _, _ = closed_loop(
-                scenario.vehicle, control, disturbance, friction, clock, following, state, nets.speed, nets.steering, trace
+                scenario.vehicle,
+                control,
+                disturbance,
+                friction,
+                clock,
+                following,
+                state,
+                nets.speed,
+                nets.steering,
+                trace,
             )
             seconds[call] = time.perf_counter() - began
             most = max(most, int(nets.speed.counts[0]), int(nets.steering.counts[0]))

@@ -25,7 +25,9 @@ def joined(shapes: list[np.ndarray], tolerances: list[float] | None = None) -> n
     the one before are left out.
     """
     given = tolerances or [LANE_TOLERANCE] * len(shapes)
-    points = np.vstack([np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(shapes, given, strict=True)])
+    points = np.vstack(
+        [np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(shapes, given, strict=True)]
+    )
     distance = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate(([True], distance > 0.01))]
 
