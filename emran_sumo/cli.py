@@ -5,10 +5,11 @@ import shlex
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from emran_sumo import cli_study
 from emran_sumo.errors import UserError
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Test vehicle controllers in SUMO traffic: a tire-level ego under EMRAN-aided control, recorded for Rerun.",
 )
+
+app.add_typer(cli_study.app, name="study")
 
 
 @app.callback()
@@ -143,6 +146,31 @@ def tune(
     terminal.show_tuned(tuned)
 
 
+@app.command()
+def paper(
+    table: Annotated[
+        list[str] | None,
+        typer.Argument(help="III to IX, XI, blind, memory, timing; all but timing by default."),
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write every cell to this file.")] = None,
+    literal: Annotated[
+        bool, typer.Option("--literal", help="Take the paper word for word: Table II, raw inputs, norm of the error.")
+    ] = False,
+    noise: Annotated[bool, typer.Option("--noise", help="With sensor noise, mean of three seeds.")] = False,
+    delay: Annotated[int, typer.Option(metavar="MS", help="Delay of the commands, a multiple of 10 ms.")] = 0,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write the whole document, in all conditions, to this file instead.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; as many as cores by default.")] = None,
+) -> None:
+    """Recompute the tables of the paper on this plant, beside the published numbers."""
+    from emran_sumo.paper.command import paper as recompute
+
+    recompute(
+        table or [], json_file=json_file, markdown=markdown, literal=literal, noise=noise, delay=delay, workers=workers
+    )
+
+
 def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
     from emran_sumo import terminal
 
@@ -158,20 +186,20 @@ def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
 def main() -> None:
     """Entry point: a user's mistake is one sentence and exit code 2."""
     try:
-        app(standalone_mode=False)
+        code = app(standalone_mode=False)  # what typer makes of Ctrl-C depends on its version
     except UserError as error:
         print(f"emran-sumo: {error}", file=sys.stderr)
         raise SystemExit(2) from None
-    except typer.Exit as exit_:
-        raise SystemExit(exit_.exit_code) from None
-    except KeyboardInterrupt:
-        print("emran-sumo: interrupted before the drive began; nothing was recorded.", file=sys.stderr)
-        raise SystemExit(130) from None
+    except (KeyboardInterrupt, typer.Abort):
+        code = 130
     except Exception as error:
         _click_error(error)
+    if code == 130:
+        print("emran-sumo: interrupted before the drive began; nothing was recorded.", file=sys.stderr)
+    raise SystemExit(code)
 
 
-def _click_error(error: Exception) -> None:
+def _click_error(error: Exception) -> NoReturn:
     """Wrong options are reported like any other mistake; everything else is a defect and keeps its traceback."""
     show = getattr(error, "format_message", None)
     if show is None:

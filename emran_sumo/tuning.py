@@ -108,10 +108,10 @@ def read(file: Path) -> Tuning:
     """
     content = values_in(file)
     shared, genes, fitness = _part(content, "set"), _part(content, "genes"), _part(content, "fitness")
-    rest = [key for key in content if key.partition(".")[0] not in ("set", "genes", "fitness", "cases", "title")]
-    if rest:
-        known = ["title", "set", "fitness", "genes", "cases"]
-        raise UserError(f'{file}: unknown key "{rest[0]}". {nearest_name(rest[0], known)}')
+    known = ["title", "set", "fitness", "genes", "cases"]
+    for name in (key.partition(".")[0] for key in content):
+        if name not in known:
+            raise UserError(f'{file}: unknown key "{name}". {nearest_name(name, known)}')
     base = _scenario(file, "set", shared, {})
     cases = _cases(file, content.get("cases"), shared, _terms(file, "fitness.terms", _part(fitness, "terms")))
     found = _genes(file, genes, base)

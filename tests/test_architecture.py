@@ -12,8 +12,9 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics maneuver scenario",
-    "ego drive bench report tuning search checkpoint tune",
-    "terminal cli",
+    "ego drive bench report tuning search checkpoint tune paper",
+    "study",
+    "terminal cli_study cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}

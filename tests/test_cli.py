@@ -12,7 +12,7 @@ from emran_sumo import cli
 from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.shipped import scenarios
 
-HEAVY = ("numba", "rerun", "libsumo", "pydantic", "scipy", "numpy", "pyarrow")
+HEAVY = ("numba", "rerun", "libsumo", "scipy", "numpy", "pyarrow")
 PLAIN = {key: value for key, value in os.environ.items() if key not in ("FORCE_COLOR", "DISPLAY", "WAYLAND_DISPLAY")}
 WIDE = PLAIN | {"COLUMNS": "200", "CI": "1"}
 
@@ -36,6 +36,13 @@ def test_help_answers_at_once():
 def test_nothing_heavy_is_imported_for_it(words):
     told = emran_sumo_modules(*words)
     assert not [name for name in HEAVY if name in told]
+
+
+def test_importing_the_command_line_imports_no_pydantic_either():
+    code = "import sys, emran_sumo.cli; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert "emran_sumo.cli" in done.stdout
+    assert not [name for name in (*HEAVY, "pydantic") if name in done.stdout.split()]
 
 
 def emran_sumo_modules(*words: str) -> set[str]:

@@ -9,6 +9,7 @@ import time
 import xml.etree.ElementTree as ET
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,7 +24,7 @@ from emran_sumo.ego import COLUMNS
 RERUN = str(Path(rerun_cli.__file__).parent / ("rerun.exe" if os.name == "nt" else "rerun"))
 QUIET = os.environ | {"CI": "1"}  # without it the first call of rerun on an account says welcome
 LINE = Path(__file__).parent / "data" / "line.net.xml"
-SHORT = {"duration": 6.0, "warm_up": 4.0}
+SHORT: dict[str, Any] = {"duration": 6.0, "warm_up": 4.0}
 FILES = ("run.rrd", "trace.parquet", "summary.json")
 
 
@@ -81,7 +82,7 @@ def test_the_summary_says_how_to_repeat_the_run(first):
     assert resolved == json.loads(json.dumps(scenario.to_dict(scenario.load("highway_dlc", FIRST).values)))
 
 
-FIRST = {key: (value, "test") for key, value in SHORT.items()}
+FIRST: dict[str, tuple[object, str]] = {key: (value, "test") for key, value in SHORT.items()}
 
 
 def test_the_metrics_are_those_of_the_trace(first):

@@ -1,5 +1,6 @@
 """SUMO and the ego are one world: the ego drives as SUMO wants, others react to it, and nobody is harmed by it."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -198,7 +199,7 @@ def test_followers_in_both_lanes_have_the_ego_before_them_while_it_is_in_both(wo
     followers = (vehicle("follower0", 100, 12, "slow", 1), vehicle("follower1", 100, 12, "slow", 2))
     steps = change_lanes(world(vehicle("ego", 150, 12), *followers), 2)
     body = ("ego", PHANTOM + "ego")
-    for before, now in zip(steps, steps[1:], strict=False):
+    for before, now in itertools.pairwise(steps):
         if min(before.left, now.left) > 0.1:
             assert now.leader_left in body, now
         if min(before.right, now.right) > 0.1:

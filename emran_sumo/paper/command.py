@@ -46,6 +46,7 @@ def _computed(
                 driven, how, literal, workers, lambda done, total: bar.update(task, completed=done, total=total)
             )
             sheets += layout.sheets(driven, found, how)
+            sheets += [layout.literal_sheet(found)] if literal else []
             records += tables.records(driven, found, how)
         if "memory" in wanted and not literal:
             passes = tables.memory_results(
@@ -54,9 +55,9 @@ def _computed(
             sheets.append(layout.memory_sheet(passes, how))
             records += tables.memory_records(passes, how)
     if "timing" in wanted and not literal:
-        found = timings()
-        sheets.append(layout.timing_sheet(found, HOW))
-        records += tables.timing_records(found)
+        times = timings()
+        sheets.append(layout.timing_sheet(times, HOW))
+        records += tables.timing_records(times)
     return sheets, records
 
 

@@ -28,7 +28,7 @@ def sheet_text(sheet: Sheet) -> str:
     """One table in Markdown; bold where a cell beats what it is held against."""
     rows = [f"| {' | '.join(sheet.heads)} |", f"|{'---|' * len(sheet.heads)}"]
     rows += [f"| {' | '.join(_cells(line, len(sheet.heads)))} |" for line in sheet.lines]
-    table = "\n".join(rows)
+    table = "\n".join(rows) if sheet.lines else ""
     remarks = "\n\n".join(sheet.remarks)
     return f"### {sheet.title}\n\n{table}\n\n{remarks}\n"
 

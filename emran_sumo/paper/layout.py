@@ -17,14 +17,14 @@ from emran_sumo.paper.tables import (
 from emran_sumo.paper.timing import DEADLINE, Timing
 
 HEADS = {
-    "lateral": ("e_y rms [m]", "e_y max", "e_psi rms [rad]", "e_psi max"),
-    "longitudinal": ("e_v rms [m/s]", "e_v max"),
+    "lateral": ("e_y rms, m", "e_y max", "e_psi rms", "e_psi max"),
+    "longitudinal": ("e_v rms, m/s", "e_v max"),
 }
 SIDE = ("beats", "command", "neurons", "learned")
 AGAINST = "pid-stanley against the row without EMRAN, all others against "
 BESIDE = (
     "command: total variation of the command over that of the same law without network; learned: share of the samples "
-    "that changed the network."
+    "admitted to learning."
 )
 
 
@@ -71,9 +71,10 @@ def _sheet(name: str, table: Table, mine: list[Result], how: Condition) -> Sheet
             for row, cells in (printed or {}).items():
                 if row != "compared":
                     lines.append(Line("published", (f"published {row}", *(f"{cell:.4f}" for cell in cells))))
-            lines += [_ours(result, view, unaided_of(result, here), table) for result in here]
-            if view == 0 and not how.name:
-                lines += [line for result in here if (line := _required(result, table))]
+            for result in here:
+                lines.append(_ours(result, view, unaided_of(result, here), table))
+                asked = _required(result, table) if view == 0 and not how.name else None
+                lines += [asked] if asked else []
     against = _against(printed)
     remarks = [f"{table.window}. Ratio: {against}", BESIDE]
     if how.seeds != (1,):
@@ -99,7 +100,7 @@ def _ours(result: Result, view: int, alone: Result | None, table: Table) -> Line
         shown = (when, *[""] * (len(pairs) - 1))
     else:
         shown = tuple(_against_cell(value, limit) for value, limit in pairs)
-    return Line("ours", (result.row.name, *shown, f"{sum(good)} of {len(pairs)}", *_side(side)), good)
+    return Line("ours", (result.row.name, *shown, f"{sum(good)}/{len(pairs)}", *_side(side)), good)
 
 
 def _cells(values: Values, table: Table) -> tuple[float | None, ...]:
@@ -109,13 +110,16 @@ def _cells(values: Values, table: Table) -> tuple[float | None, ...]:
 def _against_cell(value: float | None, limit: float | None) -> str:
     if value is None:
         return ""
-    return f"{value:.4f} x{value / limit:.2f}" if limit else f"{value:.4f}"
+    if not limit:
+        return f"{value:.4f}"
+    ratio = value / limit
+    return f"{value:.4f} x{ratio:.2f}" if ratio < 10.0 else f"{value:.4f} x{ratio:.0f}"
 
 
 def _side(side: Values) -> tuple[str, str, str]:
     ratio, neurons, share = side["command_variation_ratio"], side["neurons"], side["learned_share"]
     return (
-        "" if ratio is None else f"x{ratio:.2f}",
+        "" if ratio is None else f"x{ratio:.2f}" if ratio < 10.0 else f"x{ratio:.0f}",
         "" if neurons is None else f"{neurons:.0f}",
         "" if share is None else f"{100.0 * share:.0f} %",
     )
@@ -127,7 +131,7 @@ def _required(result: Result, table: Table) -> Line | None:
         return None
     limits = tuple("" if limit is None else f"{limit:.4f}" for limit in result.case.required[result.row.name])
     verdict = "holds" if not gaps else f"MISSED: {', '.join(gaps)}"
-    return Line("required", (f"asked of {result.row.name}", *limits, verdict), (not gaps,))
+    return Line("required", ("  asked of it", *limits, verdict), (not gaps,))
 
 
 def _sweep(name: str, mine: list[Result], how: Condition) -> Sheet:
@@ -142,6 +146,33 @@ def _sweep(name: str, mine: list[Result], how: Condition) -> Sheet:
 
 def _force(newton: float | None) -> str:
     return f"above {FORCES[-1] / 1000.0:g}" if newton is None else f"{newton / 1000.0:.2f}"
+
+
+def literal_sheet(found: list[Result]) -> Sheet:
+    """What taking the paper word for word gives, in sentences."""
+    remarks = []
+    for row in dict.fromkeys(result.row.name for result in found if result.row.aided):
+        mine = [result for result in found if result.row.name == row]
+        groups: dict[str, list[str]] = {
+            "loses the car in": [],
+            "errs more than the law alone in": [],
+            "errs less in": [],
+        }
+        for result in mine:
+            alone = unaided_of(result, found)
+            first = next(iter(key for key in result.values if key.endswith("_rms") and key.startswith(_error(result))))
+            own, without = result.values[first], alone.values[first] if alone else None
+            worse = own is not None and without is not None and own >= without
+            key = list(groups)[0 if result.lost else 1 if worse else 2]
+            groups[key].append(f"{result.table} ({result.case.name})")
+        remarks.append(
+            f"{row}: " + "; ".join(f"{key} {', '.join(names)}" for key, names in groups.items() if names) + "."
+        )
+    return Sheet("The paper word for word", ("",), (), tuple(remarks))
+
+
+def _error(result: Result) -> str:
+    return "speed_error" if result.table in ("III", "IV", "V", "blind cruise") else "cross_track"
 
 
 def memory_sheet(found: list[Passes], how: Condition) -> Sheet:
@@ -166,7 +197,7 @@ def memory_sheet(found: list[Passes], how: Condition) -> Sheet:
     remarks = (
         "What was learned is kept from pass to pass, by the network and by the observer. to EMRAN: error over all "
         "passes over that of coupled-emran; green or bold where the other one is better.",
-        "The rate of the best observer is chosen in the very case, from 0.5 to 20 /s in steering and from 2 to 60 /s in "
+        "The rate of the best observer is chosen in the very case, from 1 to 30 /s in steering and from 5 to 90 /s in "
         "cruise; the network keeps its frozen values.",
     )
     return Sheet(

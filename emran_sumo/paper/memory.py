@@ -12,10 +12,10 @@ from emran_sumo.bench import drive_track, scores
 from emran_sumo.paper.cases import Given, cruise, dlc
 from emran_sumo.scenario import build
 
-PASSES = 6
+PASSES = 5
 RATES = {
-    "lateral": (0.5, 0.979, 1.5, 2.0, 3.0, 3.652, 5.0, 7.0, 10.0, 14.0, 20.0),
-    "longitudinal": (2.0, 5.0, 8.0, 11.2, 16.0, 25.0, 40.0, 60.0),
+    "lateral": (0.979, 2.0, 3.0, 3.652, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0),
+    "longitudinal": (5.0, 8.0, 11.2, 20.0, 40.0, 60.0, 90.0),
 }
 OWN = {"lateral": 0.979, "longitudinal": 5.0}  # 1/s, rate of the scheme's own bias
 SAME = {"lateral": 3.652, "longitudinal": 11.2}  # 1/s, of neurons and bias together
@@ -128,7 +128,7 @@ def ranked(found: list[tuple[tuple[float | None, ...], float, int]], of: list[Jo
         shown += [
             here["coupled-base"],
             own._replace(row=f"bias alone, {OWN[half]:g}/s"),
-            same._replace(row=f"observer of the same bandwidth, {SAME[half]:g}/s"),
+            same._replace(row=f"observer, same bandwidth, {SAME[half]:.3g}/s"),
             best._replace(row=f"observer at its best here, {best.row.removeprefix('observer ')}"),
             here["coupled-emran"],
         ]

@@ -111,7 +111,7 @@ def main(half: str) -> None:
     low, high = np.array(bounds).T
     first = low + (high - low) * rng.random((POPULATION, len(bounds)))
     found = differential_evolution(
-        cost, bounds, args=(half, alone), init=first, maxiter=GENERATIONS, seed=rng, polish=False, tol=0.0
+        cost, bounds, args=(half, alone), init=first, maxiter=GENERATIONS, rng=rng, polish=False, tol=0.0
     )
     print(f"# cost {found.fun:.4f} after {found.nfev} evaluations")
     for key, value in given_of(half, found.x).items():

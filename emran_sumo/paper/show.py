@@ -3,10 +3,11 @@
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 from emran_sumo.paper.layout import Line, Sheet
 
-WIDTH = 118  # columns, where the output is no terminal
+WIDTH = 116  # columns, where the output is no terminal
 
 
 def console() -> Console:
@@ -24,18 +25,37 @@ def progress() -> Progress:
 
 def show(sheet: Sheet, out: Console) -> None:
     """Print one table with what is below it."""
-    table = Table(*sheet.heads[:1], box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-    for head in sheet.heads[1:]:
-        table.add_column(head, no_wrap=True)
-    for i, line in enumerate(sheet.lines):
-        if line.kind == "case" and i:
-            table.add_row()
-        table.add_row(*_cells(line, len(sheet.heads)), style={"case": "bold", "published": "dim"}.get(line.kind, ""))
-    out.print(f"[bold]{sheet.title}[/bold]")
-    out.print(table)
+    out.print(sheet.title, style="bold", markup=False)
+    if sheet.lines:
+        _print_lines(sheet, out)
     for remark in sheet.remarks:
-        out.print(remark, style="dim")
+        out.print(remark, style="dim", markup=False)
     out.print()
+
+
+def _print_lines(sheet: Sheet, out: Console) -> None:
+    rows = [(line, _cells(line, len(sheet.heads))) for line in sheet.lines]
+    named = [(cells[0], *map(_plain, cells[1:])) for line, cells in rows if line.kind != "case"]
+    widths = [max(map(len, column)) for column in zip(sheet.heads, *named, strict=True)]
+    _print_rows(out, widths, [(list(sheet.heads), "dim")])
+    for line, cells in rows:
+        if line.kind == "case":
+            out.print(cells[0], style="bold", markup=False)
+        else:
+            _print_rows(out, widths, [(cells, "dim" if line.kind == "published" else "")])
+
+
+def _plain(cell: str) -> str:
+    return Text.from_markup(cell).plain
+
+
+def _print_rows(out: Console, widths: list[int], rows: list[tuple[list[str], str]]) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for width in widths:
+        table.add_column(width=width, no_wrap=True)
+    for cells, style in rows:
+        table.add_row(*cells, style=style)
+    out.print(table)
 
 
 def _cells(line: Line, columns: int) -> list[str]:
