@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class _RunByDefault(TyperGroup):
     """`study X ...` means `study run X ...`."""
 
-    def parse_args(self, ctx, args: list[str]) -> list[str]:  # noqa: ANN001
+    def parse_args(self, ctx, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "--help"):
             args = ["run", *args]
         return super().parse_args(ctx, args)

@@ -1,48 +1,38 @@
 """One run: the host loop between a world and its egos, and what it leaves in the run's folder."""
 
 import contextlib
-import gzip
 import math
 import signal
 import time
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo import kernels, locate, metrics
+from emran_sumo import metrics
 from emran_sumo.ego import COLUMNS, UNITS, Ego, fitted, learning_state
-from emran_sumo.errors import UserError, nearest_name
-from emran_sumo.loop import AT, DIVERGED, PATH_ENDED, blank_networks, closed_loop, new_trace, quiet_references, start
+from emran_sumo.errors import UserError
+from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
 from emran_sumo.manifest import manifest, prepare, properties, write_summary
-from emran_sumo.path import Path as Track
-from emran_sumo.path import project
+from emran_sumo.opening import World, opening
 from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
-from emran_sumo.plant.vehicle import rolling_start
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.recorder import Recorder
 from emran_sumo.recording.table import write_trace
 from emran_sumo.report import summary_markdown
 from emran_sumo.scenario import Located, Scenario
 from emran_sumo.selection import Selection
-from emran_sumo.world.config import read_config, redirected
-from emran_sumo.world.demand import write_demand
+from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.flow import PERIOD, Flow
-from emran_sumo.world.network import main_limit
-from emran_sumo.world.routes import check_ego, departures
-from emran_sumo.world.session import scenario_options
+from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
 WAIT_FOR_DEPARTURE = 3600.0  # s of simulated time that an ego may still need to appear
-
-Progress = Callable[[str, float, float], None]  # phase, seconds done, seconds in all
-World = SumoWorld | TrackWorld
 
 
 class RunResult(NamedTuple):
@@ -148,16 +138,16 @@ def run(
         UserError: a file, id or folder is not usable.
     """
     scenario = located.values
-    opening = _opening(located)
+    open_world = opening(located)
     folder = prepare(Path(out), located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
-    with opening(folder, gui) as world, _stoppable() as stop:
+    with open_world(folder, gui) as world, _stoppable() as stop:
         for done in world.warm_up(scenario.warm_up):
             progress("warm-up", done, scenario.warm_up)
             if stop.signal:
                 raise KeyboardInterrupt
         selection = Selection(scenario)
-        egos = _first_egos(world, scenario, selection, stop, progress)
+        egos = _first_egos(world, located, selection, stop, progress)
         told = manifest(located, command)
         first = next(iter(egos.values())).ego
         recorder = _open_recorder(folder, located, first, world, told) if record else None
@@ -172,41 +162,11 @@ def run(
     return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
 
 
-def _opening(located: Located) -> Callable[[Path, bool], World]:
-    """Check the files of a scenario now; returns how to open its world in the run's folder."""
-    scenario = located.values
-    rates = scenario.rates
-    if scenario.world == "track":
-        preview = scenario.longitudinal.preview
-        return lambda _folder, _gui: TrackWorld(
-            scenario.track, scenario.duration, rates.sumo_step, rates.control_step, preview
-        )
-    if scenario.config:
-        config = read_config(located.folder / scenario.config)
-
-        def open_config(folder: Path, gui: bool) -> SumoWorld:
-            options = redirected(config, folder) | {"default.action-step-length": f"{rates.driver_step:g}"}
-            return SumoWorld(options, rates.sumo_step, scenario.seed, scenario.road.speed_limit, gui)
-
-        return open_config
-    network, routes = _files(located)
-    if scenario.ego:
-        check_ego(scenario.ego, routes)
-    additional = [located.folder / name for name in scenario.additional]
-
-    def open_scenario(folder: Path, gui: bool) -> SumoWorld:
-        traffic = folder / "traffic.rou.xml"
-        _write_traffic(traffic, network, routes, scenario)
-        options = scenario_options(network, [*routes, traffic], additional, rates.driver_step)
-        return SumoWorld(options, rates.sumo_step, scenario.seed, scenario.road.speed_limit, gui)
-
-    return open_scenario
-
-
 def _first_egos(
-    world: World, scenario: Scenario, selection: Selection, stop: Stop, progress: Progress
+    world: World, located: Located, selection: Selection, stop: Stop, progress: Progress
 ) -> dict[str, Driven]:
     """Step the world until the first ego is there."""
+    scenario = located.values
     if isinstance(world, TrackWorld):
         return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
     candidates, end = world.present(), world.time + WAIT_FOR_DEPARTURE
@@ -217,14 +177,20 @@ def _first_egos(
         if stop.signal:
             raise KeyboardInterrupt
         if world.expected() == 0 or world.time > end:
-            said = f" SUMO said: {world.last_message}" if world.last_message else ""
+            said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
             raise UserError(
-                f"ego: {selection.words()} was not on the road when the warm-up ended or within "
+                f"ego: {selection.words()} of {_sources(located)} was not on the road when the warm-up ended or within "
                 f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived.{said}"
             )
         progress("wait", world.time, 0.0)
         world.advance()
         candidates = world.departed()
+
+
+def _sources(located: Located) -> str:
+    """The files that declare the vehicles."""
+    s = located.values
+    return ", ".join(str(located.folder / name) for name in ((s.config,) if s.config else s.routes))
 
 
 def _newcomers(
@@ -240,7 +206,8 @@ def _newcomers(
 
 
 def _take(world: World, name: str, scenario: Scenario, vehicle, index: int) -> Driven:
-    handed = world.take_over(name, vehicle.front_axle + vehicle.front_overhang, vehicle.width)
+    front = vehicle.front_axle + vehicle.front_overhang
+    handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
     ego = Ego(name, scenario, vehicle, handed, world.time, index)
     return Driven(ego, planner_for(ego, handed))
 
@@ -413,49 +380,6 @@ def _write_traces(folder: Path, host: Host) -> None:
 def _file_name(ego: str) -> str:
     """An id of SUMO as the name of a file."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in ego)
-
-
-def _files(located: Located) -> tuple[Path, list[Path]]:
-    """Network and route files: beside the scenario, or a shipped network by its name."""
-    s = located.values
-    network = located.folder / s.network
-    if not network.suffix and not network.is_file():
-        network = locate.folder("networks") / s.network / f"{s.network}.net.xml"
-    if not network.is_file():
-        hint = nearest_name(s.network, [folder.name for folder in locate.folder("networks").iterdir()])
-        raise UserError(f'network: found "{s.network}"; no such network file: {network}. {hint}')
-    return network, [located.folder / name for name in s.routes]
-
-
-def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scenario) -> None:
-    try:
-        limit = scenario.road.speed_limit or main_limit(network)
-        named = [scenario.ego] if scenario.ego else list(scenario.egos.ids)
-        egos = departures(routes, named, limit) if scenario.traffic.density > 0.0 else ()
-        write_demand(file, network, routes, scenario.traffic, limit, scenario.seed, egos)
-    except (ET.ParseError, gzip.BadGzipFile, EOFError) as error:
-        raise UserError(f"{network}: not a network file: {error}.") from None
-    except ValueError as error:
-        raise UserError(f"traffic: {error}.") from None
-
-
-def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> None:
-    """Compile or load every kernel of a run by driving a tenth of a second on a straight line."""
-    if not kernels.compiled_before():
-        progress("compile", 0.0, 0.0)
-    n = 400
-    line = np.arange(n) * 0.25
-    flat = np.zeros(n)
-    track = Track(line, flat, flat, flat, flat, 0.25)
-    state = start(scenario.vehicle, rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0), 5.0, True)
-    nets = blank_networks(scenario.control)
-    references = quiet_references(track, np.full(3, 10.0), np.zeros(2))
-    closed_loop(
-        scenario.vehicle, scenario.control, scenario.disturbance, scenario.road.friction, scenario.clock(),
-        references, state, nets.speed, nets.steering, new_trace(2),
-    )  # fmt: skip
-    project(track, np.ones(1), np.ones(1), 5.0, 10.0)
-    kernels.mark_compiled()
 
 
 def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:

@@ -274,9 +274,7 @@ def _collisions(cut: Slice) -> Drawn | None:
 
 
 def _traffic(cut: Slice) -> Drawn | None:
-    density, flow, speed = (
-        Metric(f"traffic.{key}", key, "") for key in ("density", "flow", "speed_mean")
-    )
+    density, flow, speed = (Metric(f"traffic.{key}", key, "") for key in ("density", "flow", "speed_mean"))
     seeds = cut.seeds()
     some = any(np.isfinite(cut.values(flow, n, x, seeds)).any() for n, x in cut.cells)
     figure, sheet = _sheet(3 if some else 1, 3, 2.2)
@@ -284,7 +282,8 @@ def _traffic(cut: Slice) -> Drawn | None:
         _line(sheet[0], cut, i, _means(cut, TRAVEL_TIME, name))
         if some:
             k, q, v = (
-                np.concatenate([cut.values(metric, name, x, seeds) for x in cut.xs]) for metric in (density, flow, speed)
+                np.concatenate([cut.values(metric, name, x, seeds) for x in cut.xs])
+                for metric in (density, flow, speed)
             )
             dots: dict[str, Any] = {"marker": MARKERS[i % 7], "s": 11, "facecolors": "none", "linewidths": 0.8}
             sheet[1].scatter(k, q, color=COLORS[i % 7], **dots)

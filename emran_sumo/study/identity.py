@@ -66,7 +66,7 @@ def _file(folder: Path, key: str, text: str) -> Path | None:
     if key == "network" and not file.suffix:
         file = locate.folder("networks") / text / f"{text}.net.xml"
     if key in ("network", "routes") and not file.is_file():
-        raise UserError(f"{key}: found \"{text}\"; no such {key.removesuffix('s')} file: {file}.")
+        raise UserError(f'{key}: found "{text}"; no such {key.removesuffix("s")} file: {file}.')
     return file if file.is_file() else None
 
 

@@ -121,9 +121,7 @@ def seeds(given: object, where: str) -> tuple[int, ...]:
     if isinstance(given, int) and not isinstance(given, bool):
         found = range(1, given + 1)
     unique = tuple(dict.fromkeys(found))
-    if not unique or not all(
-        isinstance(s, int) and not isinstance(s, bool) and 0 <= s <= LARGEST_SEED for s in unique
-    ):
+    if not unique or not all(isinstance(s, int) and not isinstance(s, bool) and 0 <= s <= LARGEST_SEED for s in unique):
         raise UserError(
             f"{where}: found {json.dumps(given)}; accepted is how many, from 1, or a list such as 3,7 or 11-30 of "
             f"whole numbers from 0 to {LARGEST_SEED}."
@@ -196,7 +194,9 @@ def resolve(plan: Plan) -> tuple[list[Run], list[Located]]:
                 runs.append(Run(key, len(runs), scenario, base.name, factors, {**given, "seed": seed}))
     twice = len(runs) - len({run.key for run in runs})
     if twice:
-        raise UserError(f"study: {twice} of {len(runs)} runs are the same as another; accepted is a grid without twins.")
+        raise UserError(
+            f"study: {twice} of {len(runs)} runs are the same as another; accepted is a grid without twins."
+        )
     return runs, located
 
 

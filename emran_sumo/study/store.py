@@ -115,9 +115,7 @@ class Store:
 
     def enroll(self, runs: Iterable[Run]) -> None:
         """Enter the runs of the grid that are not in yet; rows that are in keep what became of them."""
-        rows = [
-            (r.key, r.place, r.scenario, r.label, json.dumps(r.factors), json.dumps(r.given)) for r in runs
-        ]
+        rows = [(r.key, r.place, r.scenario, r.label, json.dumps(r.factors), json.dumps(r.given)) for r in runs]
         with _told(self.folder), self._transaction():
             self._connection.executemany(
                 "INSERT INTO runs (key, place, scenario, label, factors, given) VALUES (?, ?, ?, ?, ?, ?) "
@@ -179,9 +177,22 @@ class Store:
                 "SELECT key, place, scenario, label, factors, given, state, ended, reason, error, metrics, wall, "
                 "simulation, finished, attempts, recording FROM runs ORDER BY place, key"
             )
-            for key, place, scenario, label, factors, given, state, *texts, metrics, wall, simulation, finished, n, rrd in (
-                self._connection.execute(query)
-            ):
+            for (
+                key,
+                place,
+                scenario,
+                label,
+                factors,
+                given,
+                state,
+                *texts,
+                metrics,
+                wall,
+                simulation,
+                finished,
+                n,
+                rrd,
+            ) in self._connection.execute(query):
                 run = Run(key, place, scenario, label, _read(factors), _read(given))
                 ended, reason, error = (text or "" for text in texts)
                 times = (value or 0.0 for value in (wall, simulation, finished))
@@ -226,7 +237,9 @@ def _locked(folder: Path) -> sqlite3.Connection:
     except sqlite3.OperationalError as error:
         lock.close()
         if "locked" in str(error):
-            raise UserError(f"{folder}: this study is running already; see `emran-sumo study status {folder}`.") from None
+            raise UserError(
+                f"{folder}: this study is running already; see `emran-sumo study status {folder}`."
+            ) from None
         raise
     return lock
 

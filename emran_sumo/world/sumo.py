@@ -131,17 +131,18 @@ class SumoWorld:
         edges = libsumo.vehicle.getRoute(name)[max(libsumo.vehicle.getRouteIndex(name), 0) :]
         return sum(libsumo.lane.getLength(f"{edge}_0") for edge in edges)
 
-    def take_over(self, ego: str, front: float, width: float) -> TakeOver:
+    def take_over(self, ego: str, front: float, width: float, lane_changes: bool = True) -> TakeOver:
         """Drive `ego` from outside from now on; it stays an ordinary vehicle for everybody else.
 
         Args:
             ego: id; front: from its center of gravity to the front bumper [m]; width: of its body [m].
+            lane_changes: SUMO plans them; a vehicle that declares a maneuver of its own never gets any.
         """
         vehicle = libsumo.vehicle
         self._fronts[ego], self._widths[ego] = front, width
         params = {key: vehicle.getParameter(ego, key) for key in DOUBLE_LANE_CHANGE}
         params = {key: value for key, value in params.items() if value}
-        vehicle.setLaneChangeMode(ego, LANE_CHANGE_OURS if params else LANE_CHANGE_DEFAULT)
+        vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
         seen = [libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED]
         vehicle.subscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT, seen)

@@ -145,9 +145,9 @@ class TrackWorld:
         del duration
         yield 0.0
 
-    def take_over(self, ego: str, front: float, width: float) -> TakeOver:
+    def take_over(self, ego: str, front: float, width: float, lane_changes: bool = True) -> TakeOver:
         """The car at the start of the road, at the speed of the profile."""
-        del ego, front, width
+        del ego, front, width, lane_changes
         start = point_at(self._path, LEAD_IN)
         speed = float(speed_reference(self._track, np.zeros(1))[0])
         pose = Pose(start.x, start.y, start.yaw, speed, 0.0)
