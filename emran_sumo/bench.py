@@ -61,7 +61,7 @@ def drive_track(scenario: Scenario, networks: Networks | None = None) -> BenchRu
     trace = new_trace(n)
     _, status, rows = closed_loop(
         scenario.vehicle, scenario.control, drawn(scenario.disturbance, scenario.seed), scenario.road.friction,
-        scenario.clock(), References(path, driven, speeds, accels, noise), state, nets.speed, nets.steering, trace,
+        scenario.clock(), References(path, driven, speeds, accels, noise, 0.0), state, nets.speed, nets.steering, trace,
     )  # fmt: skip
     return BenchRun(STATUS[status], trace[:rows], nets)
 

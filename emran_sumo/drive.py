@@ -1,54 +1,45 @@
-"""One run: the host loop between SUMO and the ego, and what it leaves in the run's folder."""
+"""One run: the host loop between a world and its egos, and what it leaves in the run's folder."""
 
 import contextlib
-import gzip
-import hashlib
-import json
 import math
-import platform
-import shlex
 import signal
 import time
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo import __version__, kernels, locate, metrics
-from emran_sumo.ego import COLUMNS, UNITS, Ego, learning_state
-from emran_sumo.errors import UserError, nearest_name
-from emran_sumo.loop import AT, DIVERGED, PATH_ENDED, blank_networks, closed_loop, new_trace, quiet_references, start
-from emran_sumo.path import Path as Track
-from emran_sumo.path import project
-from emran_sumo.plant.vehicle import rolling_start
+from emran_sumo import metrics
+from emran_sumo.ego import COLUMNS, UNITS, Ego, fitted, learning_state
+from emran_sumo.errors import UserError
+from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
+from emran_sumo.manifest import manifest, prepare, properties, write_summary
+from emran_sumo.opening import World, opening
+from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.recorder import Recorder
 from emran_sumo.recording.table import write_trace
 from emran_sumo.report import summary_markdown
-from emran_sumo.scenario import Located, Scenario, to_dict
-from emran_sumo.world.demand import write_demand
+from emran_sumo.scenario import Located, Scenario
+from emran_sumo.selection import Selection
+from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.flow import PERIOD, Flow
-from emran_sumo.world.network import main_limit
-from emran_sumo.world.routes import check_ego, departures
+from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
-from emran_sumo.world.sumo import version as sumo_version
 from emran_sumo.world.track import TrackWorld
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
-
-Progress = Callable[[str, float, float], None]  # phase, seconds done, seconds in all
+WAIT_FOR_DEPARTURE = 3600.0  # s of simulated time that an ego may still need to appear
 
 
 class RunResult(NamedTuple):
     """Outcome of a run.
 
     folder: where its files lie; ended: "finished", "arrived", "collision", "diverged", "lost" or "interrupted"; reason:
-    one sentence; metrics: by group; trace: (n, len(COLUMNS)).
+    one sentence; metrics: by group; trace: (n, len(COLUMNS)). All of the first ego; the others are in the summary.
     """
 
     folder: Path
@@ -69,6 +60,11 @@ class Stop:
             raise KeyboardInterrupt
         self.signal = number
 
+    @property
+    def words(self) -> str:
+        """What stopped the run."""
+        return f"stopped by {signal.Signals(self.signal).name}"
+
 
 @contextlib.contextmanager
 def _stoppable() -> Iterator[Stop]:
@@ -81,6 +77,42 @@ def _stoppable() -> Iterator[Stop]:
     finally:
         for number, handler in saved.items():
             signal.signal(number, handler)
+
+
+class Driven(NamedTuple):
+    """An ego with its planner."""
+
+    ego: Ego
+    planner: DoubleLaneChanger | LaneFollower
+
+
+class Tally:
+    """What the host loop counts over all egos."""
+
+    def __init__(self, world: World) -> None:
+        self.steps = 0
+        self.vehicles = 0
+        self.crashes: set[tuple[str, str]] = set()
+        self.mirror: dict[str, float] = {}
+        self.flow = Flow() if isinstance(world, SumoWorld) else None
+        self._period = max(round(PERIOD / world.step), 1)
+
+    def look(self, world: World, egos: dict[str, Driven]) -> None:
+        """Count after a step."""
+        self.vehicles += world.vehicle_count()
+        for pair in world.collisions():
+            if not any(name in egos for name in pair):
+                self.crashes.add((min(pair), max(pair)))
+        if self.flow is not None and self.steps % self._period == 0:
+            self.flow.look()
+        self.steps += 1
+
+
+class Outcome(NamedTuple):
+    """How one ego ended: ended, reason, and wall time of the whole loop at that moment [s]."""
+
+    ended: str
+    reason: str
 
 
 def run(
@@ -106,142 +138,211 @@ def run(
         UserError: a file, id or folder is not usable.
     """
     scenario = located.values
-    on_track = scenario.world == "track"
-    network, routes = (Path(), []) if on_track else _files(located)
-    if not on_track:
-        check_ego(scenario.ego, routes)
-    folder = _prepare(Path(out), located)  # only now: a mistake must not cost the older run
+    open_world = opening(located)
+    folder = prepare(Path(out), located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
-    world = _open_track(scenario) if on_track else _open_sumo(scenario, folder, network, routes, gui)
-    v = scenario.vehicle
-    with world, _stoppable() as stop:
-        for now in world.warm_up(scenario.warm_up):
-            progress("warm-up", now, scenario.warm_up)
+    with open_world(folder, gui) as world, _stoppable() as stop:
+        for done in world.warm_up(scenario.warm_up):
+            progress("warm-up", done, scenario.warm_up)
             if stop.signal:
                 raise KeyboardInterrupt
-        if isinstance(world, SumoWorld):
-            world.wait_for(scenario.ego, routes)
-        ego = Ego(scenario.ego, scenario, world.take_over(scenario.ego, v.width))
-        manifest = _manifest(located, command)
-        recorder = _open_recorder(folder, located, world, manifest) if record else None
+        selection = Selection(scenario)
+        egos = _first_egos(world, located, selection, stop, progress)
+        told = manifest(located, command)
+        first = next(iter(egos.values())).ego
+        recorder = _open_recorder(folder, located, first, world, told) if record else None
         with recorder or contextlib.nullcontext():
-            began = time.perf_counter()
-            ended, reason, seen = _drive(world, ego, recorder, stop, progress)
-            wall = time.perf_counter() - began
-            trace = ego.trace()
-            found = _measure(ego, trace, wall, seen, world.step)
-            found_and = {"ended": ended, "reason": reason, "metrics": found, "manifest": manifest}
+            host = Host(world, scenario, egos, selection, recorder, stop, progress)
+            host.drive()
+            summary = _summary(host, told)
             if recorder is not None:
-                recorder.close(summary_markdown(found_and), _properties(located, ended))
-    write_trace(folder / "trace.parquet", COLUMNS, trace, UNITS)
-    _write_summary(folder / "summary.json", found_and)
-    return RunResult(folder, ended, reason, found, trace)
+                recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
+    _write_traces(folder, host)
+    write_summary(folder / "summary.json", summary)
+    return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
 
 
-def _open_track(scenario: Scenario) -> TrackWorld:
-    rates = scenario.rates
-    return TrackWorld(
-        scenario.track, scenario.duration, rates.sumo_step, rates.control_step, scenario.longitudinal.preview
-    )
+def _first_egos(
+    world: World, located: Located, selection: Selection, stop: Stop, progress: Progress
+) -> dict[str, Driven]:
+    """Step the world until the first ego is there."""
+    scenario = located.values
+    if isinstance(world, TrackWorld):
+        return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
+    candidates, end = world.present(), world.time + WAIT_FOR_DEPARTURE
+    while True:
+        egos = _newcomers(world, scenario, selection, candidates, 0)
+        if egos:
+            return egos
+        if stop.signal:
+            raise KeyboardInterrupt
+        if world.expected() == 0 or world.time > end:
+            said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
+            raise UserError(
+                f"ego: {selection.words()} of {_sources(located)} was not on the road when the warm-up ended or within "
+                f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived.{said}"
+            )
+        progress("wait", world.time, 0.0)
+        world.advance()
+        candidates = world.departed()
 
 
-def _open_sumo(scenario: Scenario, folder: Path, network: Path, routes: list[Path], gui: bool) -> SumoWorld:
-    traffic_file = folder / "traffic.rou.xml"
-    _write_traffic(traffic_file, network, routes, scenario)
-    v, rates = scenario.vehicle, scenario.rates
-    front = v.front_axle + v.front_overhang
-    files = [*routes, traffic_file]
-    limit = scenario.road.speed_limit
-    return SumoWorld(network, files, rates.sumo_step, scenario.seed, front, limit, rates.driver_step, gui)
+def _sources(located: Located) -> str:
+    """The files that declare the vehicles."""
+    s = located.values
+    return ", ".join(str(located.folder / name) for name in ((s.config,) if s.config else s.routes))
 
 
-class Seen(NamedTuple):
-    """What the host loop counts: largest mirror error [m], crashes among others, mean number of vehicles, traffic."""
+def _newcomers(
+    world: SumoWorld, scenario: Scenario, selection: Selection, candidates: tuple[str, ...], count: int
+) -> dict[str, Driven]:
+    """Take over those of the candidates that are to be driven; `count` egos exist already."""
+    found: dict[str, Driven] = {}
+    for name in candidates:
+        if selection.chooses(world, name):
+            length, width, _ = world.size(name)
+            found[name] = _take(world, name, scenario, fitted(scenario.vehicle, length, width), count + len(found))
+    return found
 
-    mirror_error: float
-    others_collided: int
-    vehicles: float
-    traffic: dict[str, float]
+
+def _take(world: World, name: str, scenario: Scenario, vehicle, index: int) -> Driven:
+    front = vehicle.front_axle + vehicle.front_overhang
+    handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
+    ego = Ego(name, scenario, vehicle, handed, world.time, index)
+    return Driven(ego, planner_for(ego, handed))
 
 
-def _drive(
-    world: SumoWorld | TrackWorld, ego: Ego, recorder: Recorder | None, stop: Stop, progress: Progress
-) -> tuple[str, str, Seen]:
-    """The host loop: one round per SUMO step."""
-    scenario = ego.scenario
-    name = ego.name
-    steps = max(round(scenario.duration / world.step), 1)
-    worst, crashes, vehicles = 0.0, set(), 0
-    flow, period = Flow() if isinstance(world, SumoWorld) else None, max(round(PERIOD / world.step), 1)
-    ended, reason, done = "finished", f"drove {scenario.duration:g} s as planned", 0
-    before = None
-    for done in range(1, steps + 1):
-        intents = world.propose({name: ego.pose})  # what SUMO itself would do now
-        ego.follow(intents[name])
-        rows = ego.advance()  # 1 kHz plant, 100 Hz control: one kernel call
-        world.commit({name: ego.pose})
+class Host:
+    """The host loop: one round per SUMO step, for all egos."""
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        egos: dict[str, Driven],
+        selection: Selection,
+        recorder: Recorder | None,
+        stop: Stop,
+        progress: Progress,
+    ) -> None:
+        self.world, self.scenario, self.recorder, self._selection = world, scenario, recorder, selection
+        self.all = dict(egos)
+        self.active = dict(egos)
+        self.shown = next(iter(egos))
+        self.outcomes: dict[str, Outcome] = {}
+        self.tally = Tally(world)
+        self.wall = 0.0
+        self._stop, self._progress = stop, progress
+
+    def drive(self) -> None:
+        """Drive until every ego has ended, or the duration."""
+        began = time.perf_counter()
+        steps = max(round(self.scenario.duration / self.world.step), 1)
+        for done in range(1, steps + 1):
+            self._step()
+            self._progress("drive", done * self.world.step, self.scenario.duration)
+            if self._stop.signal or self._is_over():
+                break
+        for name, driven in self.active.items():
+            reason = f"drove {driven.ego.time:g} s as planned"
+            ended = Outcome("finished", reason)
+            if self._stop.signal:
+                ended = Outcome("interrupted", f"{self._stop.words} after {driven.ego.time:.1f} s")
+            self.outcomes[name] = ended
+        self.wall = time.perf_counter() - began
+
+    def _is_over(self) -> bool:
+        if self.active:
+            return False
+        world = self.world
+        if isinstance(world, TrackWorld):
+            return True
+        return self._selection.complete(len(self.all)) or world.expected() == 0
+
+    def _step(self) -> None:
+        world, egos = self.world, {name: driven.ego for name, driven in self.active.items()}
+        intents = world.propose({name: ego.pose for name, ego in egos.items()})  # what SUMO itself would do now
+        rows = {}
+        for name, ego in egos.items():
+            ego.follow(intents[name])
+            rows[name] = ego.advance()  # 1 kHz plant, 100 Hz control: one kernel call
+        world.commit({name: ego.pose for name, ego in egos.items()})
+        for name, ego in egos.items():
+            self._observe(ego, rows[name], intents[name])
+        self.tally.look(world, self.all)
+        if isinstance(world, SumoWorld) and not self._selection.complete(len(self.all)):
+            new = _newcomers(world, self.scenario, self._selection, world.departed(), len(self.all))
+            self.all |= new
+            self.active |= new
+
+    def _observe(self, ego: Ego, rows: np.ndarray, intent) -> None:
+        world, name = self.world, ego.name
         error = world.mirror_error(name, ego.pose)
-        worst, vehicles = max(worst, error), vehicles + world.vehicle_count()
-        traffic = world.neighbors(name)
-        side = ego.wanted_side
-        rows = ego.observe(traffic, error, rows)
-        if ego.wanted_side != side:
-            world.ask_for_room(name, ego.wanted_side)
-        crashes |= {tuple(sorted(pair)) for pair in world.collisions() if name not in pair}
-        if flow is not None and (done - 1) % period == 0:
-            flow.look()
-        if recorder is not None:
-            recorder.write(rows, traffic, ego.reference_ahead())
-            _tell(recorder, ego, rows, before)
-        before = rows[-1]
-        progress("drive", done * world.step, scenario.duration)
-        outcome = _outcome(ego, error, world.lane_of(name), stop)
+        self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
+        lane = world.lane_of(name)
+        traffic = world.neighbors(name) if lane else None
+        before = ego.frames[-1][-1] if ego.frames else None
+        if traffic is not None:
+            others = ego.observe(traffic, error, rows)
+        outcome = self._outcome(ego, error, lane)
+        if outcome is None and traffic is not None:
+            self.active[name].planner.plan(ego, intent, others, world)
+        if self.recorder is not None and name == self.shown and traffic is not None:
+            self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
+            _tell(self.recorder, ego, before)
         if outcome is not None:
-            ended, reason = outcome
-            break
-    return ended, reason, Seen(worst, len(crashes), vehicles / max(done, 1), flow.means() if flow else {})
+            self.outcomes[name] = outcome
+            del self.active[name]
+            world.release(name)
+
+    def _outcome(self, ego: Ego, mirror_error: float, lane: str) -> Outcome | None:
+        """Why an ego ends after this step, or None."""
+        car, after = ego.state.vehicle, f"after {ego.time:.1f} s"
+        if ego.status == DIVERGED:
+            row = ego.frames[-1][-1]
+            return Outcome(
+                "diverged",
+                f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
+                f"heading error {math.degrees(row[AT.heading_error]):.0f} deg",
+            )
+        if ego.collided:
+            return Outcome("collision", f"collided with {', '.join(sorted(ego.collided))} {after}")
+        if lane and (self.world.arrived(ego.name) or ego.status == PATH_ENDED or ego.path_ended):
+            return Outcome("arrived", f"reached the end of its route {after}")
+        if not lane or mirror_error > MIRROR_TOLERANCE:
+            where = "it is off the road" if not lane else f"its copy is {mirror_error:.3f} m away"
+            return Outcome("lost", f"SUMO lost the ego {after} at ({car.x:.1f}, {car.y:.1f}) m: {where}")
+        return None
 
 
-def _tell(recorder: Recorder, ego: Ego, rows: np.ndarray, before: np.ndarray | None) -> None:
+def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
     control = ego.scenario.control
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
-    recorder.state(ego.time, "learning", learning_state(rows, before, aided))
+    recorder.state(ego.time, "learning", learning_state(ego.frames[-1], before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)
 
 
-def _outcome(ego: Ego, mirror_error: float, lane: str, stop: Stop) -> tuple[str, str] | None:
-    """Why the run ends after this step, or None."""
-    car = ego.state.vehicle
-    if ego.status == DIVERGED:
-        row = ego.frames[-1][-1]
-        return "diverged", (
-            f"the controller lost the car after {ego.time:.1f} s: cross-track error {row[AT.cross_track_error]:.2f} m, "
-            f"heading error {math.degrees(row[AT.heading_error]):.0f} deg"
-        )
-    if ego.collided:
-        return "collision", f"collided with {', '.join(sorted(ego.collided))} after {ego.time:.1f} s"
-    if ego.status == PATH_ENDED or ego.arrived:
-        return "arrived", f"reached the end of its route after {ego.time:.1f} s"
-    if not lane or mirror_error > MIRROR_TOLERANCE:
-        return "lost", (
-            f"SUMO lost the ego after {ego.time:.1f} s at ({car.x:.1f}, {car.y:.1f}) m: "
-            + ("it is off the road" if not lane else f"its copy is {mirror_error:.3f} m away")
-        )
-    if stop.signal:
-        return "interrupted", f"stopped by {signal.Signals(stop.signal).name} after {ego.time:.1f} s"
-    return None
+def _summary(host: Host, told: dict[str, Any]) -> dict[str, Any]:
+    """Everything of a run but its traces; the shown ego first, all of several egos below it."""
+    shown = host.outcomes[host.shown]
+    found = {name: _measure(host, driven) for name, driven in host.all.items()}
+    summary: dict[str, Any] = {"ended": shown.ended, "reason": shown.reason, "metrics": found[host.shown]}
+    if len(host.all) > 1:
+        summary["egos"] = {name: {**host.outcomes[name]._asdict(), "metrics": found[name]} for name in host.all}
+    return summary | {"ego": host.shown, "manifest": told}
 
 
-def _measure(ego: Ego, trace: np.ndarray, wall: float, seen: Seen, step: float) -> dict[str, dict[str, Any]]:
+def _measure(host: Host, driven: Driven) -> dict[str, dict[str, Any]]:
+    ego, tally = driven.ego, host.tally
+    trace = ego.trace()
     columns = {name: trace[:, i] for i, name in enumerate(COLUMNS)}
     moving = trace[-1:, AT.time].sum()
 
     def least(name: str) -> float | None:
-        values = columns[name]
-        low = values.min(initial=math.inf)
+        low = columns[name].min(initial=math.inf)
         return float(low) if math.isfinite(low) else None
 
     return {
@@ -251,123 +352,40 @@ def _measure(ego: Ego, trace: np.ndarray, wall: float, seen: Seen, step: float) 
             "gap_min": least("lead_gap"),
             "deceleration_to_avoid_max": metrics.largest(columns["deceleration_to_avoid"]),
             "collisions": len(ego.collided),
-            "collisions_of_others": seen.others_collided,
+            "collisions_of_others": len(tally.crashes),
         },
         "comfort": metrics.comfort(trace),
         "effort": metrics.effort(trace),
         "networks": metrics.networks(trace),
-        "traffic": seen.traffic,
+        "traffic": tally.flow.means() if tally.flow else {},
         "run": {
             "simulated": float(moving),
             "distance": float(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])).sum()),
-            "real_time_factor": float(moving / wall) if wall > 0.0 else None,
-            "vehicles_mean": seen.vehicles,
-            "mirror_error_max": seen.mirror_error,
-            "double_lane_change_began": ego.began,
+            "real_time_factor": float(tally.steps * host.world.step / host.wall) if host.wall > 0.0 else None,
+            "vehicles_mean": tally.vehicles / max(tally.steps, 1),
+            "mirror_error_max": tally.mirror.get(ego.name, 0.0),
+            "double_lane_change_began": driven.planner.began,
+            "lane_changes": getattr(driven.planner, "count", 0),
         },
     }
 
 
-def _prepare(out: Path, located: Located) -> Path:
-    """The run's folder, emptied of an older run of the same name."""
-    s = located.values
-    folder = out / located.name / f"{s.controller}-seed{s.seed}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in ("run.rrd", "trace.parquet", "summary.json", "traffic.rou.xml"):
-            (folder / name).unlink(missing_ok=True)
-        (folder / "traffic.rou.xml").touch()
-    except OSError as error:
-        raise UserError(f"--out: cannot write to {folder}: {error.strerror}; accepted is a writable folder.") from None
-    return folder
+def _write_traces(folder: Path, host: Host) -> None:
+    """trace.parquet of the shown ego; egos/<id>.parquet of the others."""
+    for name, driven in host.all.items():
+        file = folder / "trace.parquet" if name == host.shown else folder / "egos" / f"{_file_name(name)}.parquet"
+        write_trace(file, COLUMNS, driven.ego.trace(), UNITS)
 
 
-def _files(located: Located) -> tuple[Path, list[Path]]:
-    """Network and route files: beside the scenario, or a shipped network by its name."""
-    s = located.values
-    network = located.folder / s.network
-    if not network.suffix and not network.is_file():
-        network = locate.folder("networks") / s.network / f"{s.network}.net.xml"
-    if not network.is_file():
-        hint = nearest_name(s.network, [folder.name for folder in locate.folder("networks").iterdir()])
-        raise UserError(f'network: found "{s.network}"; no such network file: {network}. {hint}')
-    return network, [located.folder / name for name in s.routes]
+def _file_name(ego: str) -> str:
+    """An id of SUMO as the name of a file."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in ego)
 
 
-def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scenario) -> None:
-    try:
-        limit = scenario.road.speed_limit or main_limit(network)
-        egos = departures(routes, [scenario.ego], limit)
-        write_demand(file, network, routes, scenario.traffic, limit, scenario.seed, egos)
-    except (ET.ParseError, gzip.BadGzipFile, EOFError) as error:
-        raise UserError(f"{network}: not a network file: {error}.") from None
-    except ValueError as error:
-        raise UserError(f"traffic: {error}.") from None
-
-
-def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> None:
-    """Compile or load every kernel of a run by driving a tenth of a second on a straight line."""
-    if not kernels.compiled_before():
-        progress("compile", 0.0, 0.0)
-    n = 400
-    line = np.arange(n) * 0.25
-    flat = np.zeros(n)
-    track = Track(line, flat, flat, flat, flat, 0.25)
-    state = start(scenario.vehicle, rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0), 5.0, True)
-    nets = blank_networks(scenario.control)
-    references = quiet_references(track, np.full(3, 10.0), np.zeros(2))
-    closed_loop(
-        scenario.vehicle, scenario.control, scenario.disturbance, scenario.road.friction, scenario.clock(),
-        references, state, nets.speed, nets.steering, new_trace(2),
-    )  # fmt: skip
-    project(track, np.ones(1), np.ones(1), 5.0, 10.0)
-    kernels.mark_compiled()
-
-
-def _open_recorder(folder: Path, located: Located, world: SumoWorld | TrackWorld, manifest: dict[str, Any]) -> Recorder:
-    s, v = located.values, located.values.vehicle
+def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:
+    s, v = located.values, ego.vehicle
     shape = EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)
     name = f"{located.name}, {s.controller}, seed {s.seed}"
-    identity = f"{located.name}-{s.controller}-seed{s.seed}-{manifest['digest']}"
-    road = world.road()
+    identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
-    return Recorder(file, recording=identity, name=name, road=road, ego=shape, columns=COLUMNS)
-
-
-def _manifest(located: Located, command: str) -> dict[str, Any]:
-    """What is needed to repeat the run and to read it a month later."""
-    resolved = to_dict(located.values)
-    digest = hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:12]
-    packages = {name: version(name) for name in ("numpy", "numba", "scipy", "pyarrow")}
-    return {
-        "scenario_name": located.name,
-        "command": command or shlex.join(["emran-sumo", "run", located.name]),
-        "digest": digest,
-        "seeds": {"traffic": located.values.seed, "sumo": located.values.seed},
-        "versions": {
-            "emran_sumo": __version__,
-            "sumo": sumo_version(),
-            **packages,
-            "rerun": version("rerun-sdk"),
-            "python": platform.python_version(),
-        },
-        "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "scenario": resolved,
-    }
-
-
-def _properties(located: Located, ended: str) -> dict[str, Any]:
-    s = located.values
-    return {
-        "scenario": located.name,
-        "controller": s.controller,
-        "seed": s.seed,
-        "ended": ended,
-        "version": __version__,
-    }
-
-
-def _write_summary(file: Path, content: dict[str, Any]) -> None:
-    part = file.with_suffix(".part")
-    part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    part.replace(file)
+    return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)

@@ -1,30 +1,20 @@
-"""One vehicle that we drive: its path, its maneuver, its controller's memory, its trace and its events."""
+"""One vehicle that we drive: its controller's memory, its path, its trace and its events."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from emran_sumo import maneuver, metrics
+from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
-from emran_sumo.errors import UserError
-from emran_sumo.loop import (
-    AT,
-    TRACE,
-    WIDTH,
-    References,
-    blank_networks,
-    closed_loop,
-    new_trace,
-    start,
-)
-from emran_sumo.maneuver import DoubleLaneChange, Others
-from emran_sumo.path import Path, lane_change_offset, nearest, path_length, project
+from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
+from emran_sumo.path import Path, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
-from emran_sumo.plant.vehicle import rolling_start
+from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.scenario import Scenario
-from emran_sumo.world.records import Intent, Pose, TakeOver, Traffic
+from emran_sumo.world.lanes import speed_cap
+from emran_sumo.world.records import Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
 SAFETY = ("lead_gap", "time_to_collision", "deceleration_to_avoid", "mirror_error")
@@ -44,8 +34,8 @@ UNITS = {
 NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
 SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
-WAITING = "waiting for a gap"
 NEAR_MISS = 1.0  # s time to collision
+FRICTION_SHARE = 0.5  # of the friction that bends may take
 
 
 class Event(NamedTuple):
@@ -56,36 +46,47 @@ class Event(NamedTuple):
     text: str
 
 
+def fitted(vehicle: VehicleParams, length: float, width: float) -> VehicleParams:
+    """The vehicle with the outline of a SUMO vehicle: wheelbase and overhangs scale with the length."""
+    scale = length / vehicle.length
+    return vehicle._replace(
+        length=length,
+        width=width,
+        front_axle=vehicle.front_axle * scale,
+        rear_axle=vehicle.rear_axle * scale,
+        front_overhang=vehicle.front_overhang * scale,
+    )
+
+
 class Ego:
     """A vehicle under our control.
 
     Args:
-        name: SUMO's id.
+        name: its id.
         scenario: Scenario.
-        handed: TakeOver, what SUMO says at take-over.
+        vehicle: VehicleParams that fit its outline.
+        handed: TakeOver.
+        time: of the simulation at take-over [s].
+        index: number of this ego in the run; egos draw different noise.
     """
 
-    def __init__(self, name: str, scenario: Scenario, handed: TakeOver) -> None:
-        self.name = name
-        self.scenario = scenario
-        self.change = maneuver.declared(handed.params, name)
+    def __init__(
+        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0
+    ) -> None:
+        self.name, self.scenario, self.vehicle = name, scenario, vehicle
         self.lane_width = handed.lane_width
-        self.base = handed.path
-        self.path = self.base
-        self.driven = self._conditioned(self.base, float(handed.pose.speed))
+        self.began_at = time
         pose = handed.pose
-        self._refuse_missing_lane(handed)
-        point = nearest(self.base, pose.x, pose.y, _first_guess(self.base, pose))
-        self.route_offset = handed.route_position - point.position
-        state = rolling_start(scenario.vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
-        position = nearest(self.driven, pose.x, pose.y, point.position).position
-        self.state = start(scenario.vehicle, state, position, scenario.longitudinal.feedforward)
+        self.base = self.path = self.driven = handed.path
+        self._origin = 0.0
+        car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
+        self.state = start(vehicle, car, _first_guess(handed.path, pose), scenario.longitudinal.feedforward)
+        self.take_path(handed.path, handed.path)
+        self.route_offset = handed.route_position - self.state.position
         self.networks = blank_networks(scenario.control)
         self.tick = 0
         self.status = 0
         self.maneuver = "keep lane"
-        self.begin: float | None = None  # position where the double lane change began [m]
-        self.began: float | None = None  # and its time [s]
         self.events: list[Event] = []
         self.told = 0  # events already recorded
         self.frames: list[np.ndarray] = []
@@ -94,28 +95,17 @@ class Ego:
         self._near_miss = False
         self._speed_reference = float(pose.speed)
         self._accel = 0.0
+        self._mirrored = Pose(pose.x, pose.y, pose.yaw, float(pose.speed), 0.0)
         rates = scenario.rates
         self._periods = round(rates.sumo_step / rates.control_step)
         self._shares = np.arange(self._periods + 1) / self._periods
         self._disturbance = drawn(scenario.disturbance, scenario.seed)
-        self._noise = noise_source(scenario.seed)
-
-    def _refuse_missing_lane(self, handed: TakeOver) -> None:
-        if self.change is None:
-            return
-        free = handed.lanes_left if self.change.side > 0 else handed.lanes_right
-        if free < 1:
-            side = "left" if self.change.side > 0 else "right"
-            raise UserError(
-                f'vehicle "{self.name}": param double_lane_change.direction: found "{side}", but there is no lane on '
-                "that side; accepted is the other direction or another departLane."
-            )
+        self._noise = noise_source(scenario.seed, index)
 
     @property
     def pose(self) -> Pose:
-        """Pose that SUMO is to mirror."""
-        car = self.state.vehicle
-        return Pose(car.x, car.y, car.yaw, car.speed_long, self._accel)
+        """Pose that SUMO is to mirror; it never moves backward, which SUMO would read as a jump around the route."""
+        return self._mirrored
 
     @property
     def time(self) -> float:
@@ -123,15 +113,36 @@ class Ego:
         return self.tick * self.scenario.rates.control_step
 
     @property
-    def wanted_side(self) -> int:
-        """Side on which a gap is wanted: +1 left, -1 right, 0 none."""
-        return self.change.side if self.change is not None and self.maneuver == WAITING else 0
+    def position(self) -> float:
+        """Distance along the route of the vehicle, junctions not counted [m]."""
+        return self.state.position + self._origin + self.route_offset
 
     @property
-    def arrived(self) -> bool:
+    def speed(self) -> float:
+        """Along the body [m/s]."""
+        return self.state.vehicle.speed_long
+
+    @property
+    def path_ended(self) -> bool:
         """Whether the path ends within the next second."""
         ahead = path_length(self.path) - self.state.position
-        return ahead < max(self.state.vehicle.speed_long, 1.0) + self.scenario.vehicle.length
+        return ahead < max(self.speed, 1.0) + self.vehicle.length
+
+    def take_path(self, base: Path, path: Path) -> None:
+        """Follow `path` from here on; `base` is the center line of the lane that it belongs to or leads to."""
+        before = self.state.position
+        car = self.state.vehicle
+        self.base, self.path = base, path
+        lateral = self.scenario.lateral
+        speed = float(max(car.speed_long, 1.0))
+        self.driven = conditioned(path, lateral, self.vehicle, speed) if lateral.conditioning else path
+        guess = _first_guess(self.driven, Pose(car.x, car.y, car.yaw, 0.0, 0.0))
+        position = nearest(self.driven, car.x, car.y, guess).position
+        self._origin += before - position
+        self.state = self.state._replace(position=position)
+        road = self.scenario.road
+        accel = min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81)
+        self._cap = speed_cap(base, accel, road.curve_decel)
 
     def follow(self, intent: Intent) -> None:
         """Take over what the world wants for this step: the cruise reference."""
@@ -145,12 +156,15 @@ class Ego:
         before = self.state.vehicle.speed_long
         s = self.scenario
         self.state, self.status, count = closed_loop(
-            s.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
+            self.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
-        self._speed_reference = self._wanted.speed
+        self._speed_reference = float(references.speeds[-1])
         self._accel = (self.state.vehicle.speed_long - before) / rates.sumo_step
         self.tick += count
+        car = self.state.vehicle
+        if car.speed_long >= 0.0:
+            self._mirrored = Pose(car.x, car.y, car.yaw, car.speed_long, self._accel)
         self._note_networks(rows[:count])
         return rows[:count]
 
@@ -158,23 +172,27 @@ class Ego:
         """The profile within the step, where the world knows it, or a straight line to the wished speed."""
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
-            rise = wanted.speed - self._speed_reference
+            end = min(wanted.speed, self._curve_speed())
+            rise = end - self._speed_reference
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
-        return References(self.path, self.driven, speeds, accels, noise)
+        return References(self.path, self.driven, speeds, accels, noise, self._origin)
 
-    def observe(self, traffic: Traffic, mirror_error: float, rows: np.ndarray) -> np.ndarray:
-        """Look around after a step: lead, collisions, maneuver. Returns the rows with the safety columns."""
+    def _curve_speed(self) -> float:
+        """Speed that the bends ahead allow at the end of this step [m/s]; SUMO does not know of bends."""
+        end = self.state.position + max(self.speed, 0.0) * self.scenario.rates.sumo_step
+        return float(interpolate(self._cap, self.base, end))
+
+    def observe(self, traffic: Traffic, mirror_error: float, rows: np.ndarray) -> Others:
+        """Look around after a step: lead, near misses, collisions; completes the rows of the step."""
         others = self._seen(traffic)
         self.lead = self._find_lead(others)
         self._note_near_miss()
         self._find_collisions(traffic)
-        self._steer_maneuver(others)
         extra = [self.lead.gap, self.lead.time_to_collision, self.lead.deceleration_to_avoid, mirror_error]
-        full = np.column_stack((rows, np.tile(extra, (len(rows), 1))))
-        self.frames.append(full)
-        return full
+        self.frames.append(np.column_stack((rows, np.tile(extra, (len(rows), 1)))))
+        return others
 
     def reference_ahead(self) -> np.ndarray:
         """(n, 2) points of the path ahead."""
@@ -187,54 +205,52 @@ class Ego:
         return np.concatenate(self.frames) if self.frames else np.zeros((0, len(COLUMNS)))
 
     def _seen(self, traffic: Traffic) -> Others:
-        """Traffic in coordinates of the lane the ego started in."""
+        """Traffic in coordinates of the lane that the ego follows or changes to."""
         car = self.state.vehicle
-        here = nearest(self.base, car.x, car.y, self._base_position())
+        # path and lane differ in length by less than this search tolerates
+        here = nearest(self.base, car.x, car.y, self.state.position)
         along = project(self.base, traffic.x, traffic.y, here.position, SIGHT)
         center = self._center_ahead()
-        return Others(along[:, 0] - here.position - center, along[:, 1], traffic.speed, traffic.length, traffic.width)
-
-    def _base_position(self) -> float:
-        # the maneuver's path is longer than the lane by less than this search tolerates
-        return self.state.position
+        offset = -(car.x - here.x) * math.sin(here.yaw) + (car.y - here.y) * math.cos(here.yaw)
+        ahead = along[:, 0] - here.position - center
+        return Others(ahead, along[:, 1], traffic.speed, traffic.length, traffic.width, offset)
 
     def _center_ahead(self) -> float:
         """From the center of gravity forward to the center of the body [m]."""
-        v = self.scenario.vehicle
+        v = self.vehicle
         return v.front_axle + v.front_overhang - 0.5 * v.length
 
     def _find_lead(self, others: Others) -> metrics.Lead:
         """The nearest vehicle ahead whose body overlaps the corridor that the ego will sweep."""
         if others.ahead.size == 0:
             return metrics.NO_LEAD
-        v = self.scenario.vehicle
-        offset = self._path_offset(others.ahead)
-        inside = np.abs(others.offset - offset) < 0.5 * (others.width + v.width)
+        v = self.vehicle
+        candidates = np.flatnonzero((others.ahead > 0.0) & (np.abs(others.offset) < 3.0 * self.lane_width))
         gap = others.ahead - 0.5 * (others.length + v.length)
-        candidates = np.flatnonzero(inside & (others.ahead > 0.0))
-        if candidates.size == 0:
-            return metrics.NO_LEAD
-        k = candidates[np.argmin(gap[candidates])]
-        return metrics.lead(float(gap[k]), self.state.vehicle.speed_long, float(others.speed[k]))
+        best = metrics.NO_LEAD
+        for k in candidates[np.argsort(gap[candidates])]:
+            if abs(others.offset[k] - self._corridor(float(others.ahead[k]))) < 0.5 * (others.width[k] + v.width):
+                best = metrics.lead(float(gap[k]), self.speed, float(others.speed[k]))
+                break
+        return best
 
-    def _path_offset(self, ahead: np.ndarray) -> np.ndarray:
-        """Lateral offset of the path from the lane at distances ahead of the ego."""
-        if self.begin is None or self.change is None:
-            return np.zeros_like(ahead)
-        changes = maneuver.transitions(self.change, self.begin, self.lane_width)
-        return lane_change_offset(changes, self.state.position + ahead)[0]
+    def _corridor(self, ahead: float) -> float:
+        """Lateral offset of the path from its lane at a distance ahead of the ego [m]."""
+        position = self.state.position + ahead
+        x, y = (interpolate(values, self.path, position) for values in (self.path.x, self.path.y))
+        point = nearest(self.base, x, y, position)
+        return -(x - point.x) * math.sin(point.yaw) + (y - point.y) * math.cos(point.yaw)
 
     def _note_near_miss(self) -> None:
         near = self.lead.time_to_collision < NEAR_MISS
         if near and not self._near_miss:
-            self._say(
-                "WARN",
-                f"near miss: {self.lead.time_to_collision:.1f} s to a collision, gap {self.lead.gap:.1f} m",
+            self.say(
+                "WARN", f"near miss: {self.lead.time_to_collision:.1f} s to a collision, gap {self.lead.gap:.1f} m"
             )
         self._near_miss = near
 
     def _find_collisions(self, traffic: Traffic) -> None:
-        car, v = self.state.vehicle, self.scenario.vehicle
+        car, v = self.state.vehicle, self.vehicle
         center = self._center_ahead()
         x, y = car.x + center * math.cos(car.yaw), car.y + center * math.sin(car.yaw)
         own = metrics.Box(x, y, car.yaw, v.length, v.width)
@@ -246,62 +262,20 @@ class Ego:
             name = traffic.ids[k]
             if metrics.boxes_overlap(own, other) and name not in self.collided:
                 self.collided.add(name)
-                self._say(
+                self.say(
                     "ERROR",
-                    f"collision with {name} at {car.speed_long:.1f} m/s, the other at {traffic.speed[k]:.1f} m/s",
+                    f"collision with {name} at {car.speed_long:.1f} m/s, the other at {traffic.speed[k]:.1f} m/s, "
+                    f"{metrics.struck_where(own, other)}",
                 )
 
-    def _steer_maneuver(self, others: Others) -> None:
-        """Begin the declared double lane change where a gap is free; follow it to its end."""
-        change = self.change
-        if change is None:
-            return
-        if self.begin is None:
-            self._try_to_begin(change, others)
-            return
-        done = self.state.position - self.begin
-        if done > change.length and self.maneuver != "keep lane":
-            rows = np.concatenate([frame[-1:] for frame in self.frames])
-            errors = rows[rows[:, AT.path_position] > self.begin, AT.cross_track_error]
-            worst = np.abs(errors).max(initial=0.0)
-            self._enter("keep lane", f"double lane change done, largest cross-track error {worst:.3f} m")
-            self.change = None
-        elif done > change.back_start - 5.0:
-            self._enter("change right" if change.side > 0 else "change left", "back to the own lane")
-        elif done > maneuver.OUT_START - 10.0:
-            side = "left" if change.side > 0 else "right"
-            self._enter(f"change {side}", f"out to the lane on the {side}")
-
-    def _try_to_begin(self, change: DoubleLaneChange, others: Others) -> None:
-        position = self.state.position + self.route_offset
-        if position < change.start:
-            return
-        car, v = self.state.vehicle, self.scenario.vehicle
-        if path_length(self.base) - self.state.position < change.length + 50.0:
-            if self.maneuver != "keep lane":
-                self._enter("keep lane", "no free gap before the end of the road: double lane change given up", "WARN")
-            self.change = None
-            return
-        if not maneuver.gap_is_free(change, others, car.speed_long, v.length, self.lane_width):
-            self._enter(WAITING, "double lane change wanted, waiting for a gap")
-            return
-        self.begin, self.began = self.state.position, self.time
-        self.path = maneuver.maneuver_path(self.base, change, self.begin, self.lane_width)
-        self.driven = self._conditioned(self.path, car.speed_long)
-        position = nearest(self.driven, car.x, car.y, self.begin).position
-        self.state = self.state._replace(position=position)
-        self._enter("double lane change", f"double lane change begins at {car.speed_long:.1f} m/s")
-
-    def _conditioned(self, path: Path, speed: float) -> Path:
-        lateral = self.scenario.lateral
-        return conditioned(path, lateral, self.scenario.vehicle, speed) if lateral.conditioning else path
-
-    def _enter(self, name: str, text: str, level: str = "INFO") -> None:
+    def enter(self, name: str, text: str, level: str = "INFO") -> None:
+        """Begin a phase of a maneuver."""
         if name != self.maneuver:
             self.maneuver = name
-            self._say(level, text)
+            self.say(level, text)
 
-    def _say(self, level: str, text: str) -> None:
+    def say(self, level: str, text: str) -> None:
+        """Note an event now."""
         self.events.append(Event(self.time, level, text))
 
     def _note_networks(self, rows: np.ndarray) -> None:
@@ -320,7 +294,7 @@ class Ego:
             last = row
 
 
-def _first_guess(path, pose: Pose) -> float:
+def _first_guess(path: Path, pose: Pose) -> float:
     """Position of the grid point nearest to a pose."""
     return float(np.argmin((path.x - pose.x) ** 2 + (path.y - pose.y) ** 2)) * path.spacing
 

@@ -104,7 +104,8 @@ class References(NamedTuple):
 
     path: Path that the errors of the trace refer to; driven: Path that the controller follows, the same or a
     conditioned one; speeds: (n + 1,) speed reference [m/s] at the borders of the periods; accels: (n,) acceleration
-    reference [m/s2] within each; noise: (n, CHANNELS) standard normal numbers.
+    reference [m/s2] within each; noise: (n, CHANNELS) standard normal numbers; origin: position [m] along the road of
+    the path's first point, for disturbances that lie at places and for the trace.
     """
 
     path: Path
@@ -112,6 +113,7 @@ class References(NamedTuple):
     speeds: np.ndarray
     accels: np.ndarray
     noise: np.ndarray
+    origin: float
 
 
 def blank_networks(params: ControlParams) -> Networks:
@@ -133,7 +135,7 @@ def start(vehicle, state: VehicleState, position: float, full: bool) -> LoopStat
 
 def quiet_references(path: Path, speeds: np.ndarray, accels: np.ndarray) -> References:
     """References without noise and without conditioning."""
-    return References(path, path, speeds, accels, np.zeros((accels.size, CHANNELS)))
+    return References(path, path, speeds, accels, np.zeros((accels.size, CHANNELS)), 0.0)
 
 
 @njit
@@ -159,7 +161,7 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
     for k in range(periods):
         tick = clock.tick + k
         time = tick * period
-        env = _environment(disturbance, friction, path, time, point.position, car.speed_long)
+        env = _environment(disturbance, friction, path, time, point.position, references.origin, car.speed_long)
         seen = measured_state(control.sensors, references.noise[k], car, point.yaw)
         cross_track, heading = tracking_errors(point, seen.x, seen.y, seen.yaw)
         motion = _motion(vehicle, control.sensors, references.noise[k], car, seen, env, point.position)
@@ -177,7 +179,7 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
         for j in range(clock.substeps):
             now = time + j * clock.plant_step
             travelled = point.position + car.speed_long * j * clock.plant_step
-            env = _environment(disturbance, friction, path, now, travelled, car.speed_long)
+            env = _environment(disturbance, friction, path, now, travelled, references.origin, car.speed_long)
             car = step(vehicle, car, actuation, env, clock.plant_step)
         point = nearest(path, car.x, car.y, point.position + car.speed_long * period)
         row = trace[k]
@@ -185,7 +187,7 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
         _write_car(row, vehicle, car, env)
         _write_control(row, turn, push)
         shown = nearest(references.path, car.x, car.y, point.position)
-        _write_reference(row, car, shown, references.speeds[k + 1], references.accels[k])
+        _write_reference(row, car, shown, references, k)
         _write_networks(row, push, turn, speed_net, steering_net)
         state = LoopState(car, cruise_memory, steering_memory, point.position, pending)
         if _lost(row[AT.cross_track_error], row[AT.heading_error], car):
@@ -196,10 +198,10 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
 
 
 @njit
-def _environment(disturbance, friction, path, time, position, speed):
+def _environment(disturbance, friction, path, time, position, origin, speed):
     grade = interpolate(path.grade, path, position)
     slope = (interpolate(path.grade, path, position + path.spacing) - grade) / path.spacing
-    return environment(disturbance, friction, grade, slope, time, position, speed)
+    return environment(disturbance, friction, grade, slope, time, position + origin, speed)
 
 
 @njit
@@ -244,20 +246,17 @@ def _write_control(row, turn, push):
 
 
 @njit
-def _write_reference(row, car, point, speed, accel):
+def _write_reference(row, car, point, references, k):
     cross_track, heading = tracking_errors(point, car.x, car.y, car.yaw)
+    speed, accel = references.speeds[k + 1], references.accels[k]
     row[AT.speed_reference], row[AT.accel_reference], row[AT.speed_error] = (
         speed,
         accel,
         speed - car.speed_long,
     )
-    (
-        row[AT.path_position],
-        row[AT.reference_x],
-        row[AT.reference_y],
-        row[AT.reference_yaw],
-        row[AT.reference_curvature],
-    ) = point.position, point.x, point.y, point.yaw, point.curvature
+    row[AT.path_position] = point.position + references.origin
+    row[AT.reference_x], row[AT.reference_y] = point.x, point.y
+    row[AT.reference_yaw], row[AT.reference_curvature] = point.yaw, point.curvature
     row[AT.cross_track_error], row[AT.heading_error] = cross_track, heading
 
 

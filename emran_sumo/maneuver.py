@@ -7,6 +7,7 @@ import numpy as np
 
 from emran_sumo.errors import UserError
 from emran_sumo.path import LaneChange, Path, lane_change_offset, shifted
+from emran_sumo.world.records import Others
 
 # of Eq. 23: where the way out begins [m], the lengths of both transitions, and the distance between them
 OUT_START, OUT_LENGTH, BACK_LENGTH = 27.19, 25.0, 21.95
@@ -40,17 +41,6 @@ class DoubleLaneChange(NamedTuple):
     def length(self) -> float:
         """Distance [m] from its begin until the ego is back in its lane."""
         return self.back_start + self.length_back + TAIL
-
-
-class Others(NamedTuple):
-    """Traffic seen from the ego's path: position ahead of the ego's center [m] (negative behind), lateral offset from
-    the path [m] (left positive), speed [m/s], length [m], width [m]; arrays (n,)."""
-
-    ahead: np.ndarray
-    offset: np.ndarray
-    speed: np.ndarray
-    length: np.ndarray
-    width: np.ndarray
 
 
 def declared(params: dict[str, str], ego: str) -> DoubleLaneChange | None:

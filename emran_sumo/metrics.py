@@ -103,6 +103,16 @@ def lead(gap: float, speed: float, speed_ahead: float) -> Lead:
     return Lead(gap, room / closing, closing * closing / (2.0 * room))
 
 
+def struck_where(own: Box, other: Box) -> str:
+    """Who struck whom, by where the other's center lies, in words."""
+    dx, dy = other.x - own.x, other.y - own.y
+    ahead = dx * math.cos(own.yaw) + dy * math.sin(own.yaw)
+    reach = 0.25 * (own.length + other.length)
+    if ahead > reach:
+        return "the ego ran into it"
+    return "it ran into the ego" if ahead < -reach else "side by side"
+
+
 def boxes_overlap(a: Box, b: Box) -> bool:
     """Whether two oriented rectangles share area (separating axis test)."""
     dx, dy = b.x - a.x, b.y - a.y

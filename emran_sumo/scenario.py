@@ -22,6 +22,7 @@ from emran_sumo.world.demand import TrafficParams
 from emran_sumo.world.track import TrackParams
 
 FILE = "scenario.toml"
+CONFIG = ".sumocfg"
 
 
 class RateParams(NamedTuple):
@@ -38,10 +39,29 @@ class RateParams(NamedTuple):
 
 
 class RoadParams(NamedTuple):
-    """friction of the road; speed_limit of all lanes outside ramps, 0 to keep the network's own."""
+    """friction of the road; speed_limit of all lanes outside ramps, 0 to keep the network's own.
+
+    curve_accel: lateral acceleration up to which bends are driven, at most half of what friction gives; curve_decel:
+    deceleration before them.
+    """
 
     friction: Annotated[float, Field(ge=0.05, le=2), Unit("-")] = 1.0
     speed_limit: Annotated[float, Field(ge=0, le=70), Unit("m/s")] = 0.0
+    curve_accel: Annotated[float, Field(gt=0, le=12), Unit("m/s^2")] = 3.0
+    curve_decel: Annotated[float, Field(gt=0, le=9), Unit("m/s^2")] = 2.0
+
+
+class EgoParams(NamedTuple):
+    """Which vehicles are driven, where `ego` names none.
+
+    ids; or type: all of this vType; or penetration: this share of all passenger cars as they depart, drawn by the seed;
+    or none of these: the first car that travels far enough. lane_changes: SUMO's wishes to change lanes are followed.
+    """
+
+    ids: tuple[str, ...] = ()
+    type: str = ""
+    penetration: Annotated[float, Field(ge=0, le=1), Unit("-")] = 0.0
+    lane_changes: Annotated[bool, Unit("on/off")] = True
 
 
 class Scenario(NamedTuple):
@@ -51,11 +71,14 @@ class Scenario(NamedTuple):
     world: Literal["sumo", "track"] = "sumo"
     network: str = ""
     routes: tuple[str, ...] = ()
+    additional: tuple[str, ...] = ()
+    config: str = ""
     ego: str = "ego"
     controller: str = DEFAULT
     seed: Annotated[int, Field(ge=0, le=2**31 - 1), Unit("-")] = 1
     duration: Annotated[float, Field(gt=0, le=86_400), Unit("s")] = 60.0
     warm_up: Annotated[float, Field(ge=0, le=3600), Unit("s")] = 20.0
+    egos: EgoParams = EgoParams()
     rates: RateParams = RateParams()
     road: RoadParams = RoadParams()
     traffic: TrafficParams = TrafficParams()
@@ -95,7 +118,7 @@ def find(name: str) -> Path:
     given = Path(name)
     if name in known and not (given / FILE).is_file():  # a folder of that name may hold anything, such as old runs
         return locate.folder("scenarios") / name / FILE
-    if name and (given.suffix == ".toml" or given.is_dir()):
+    if name and (given.suffix in (".toml", CONFIG) or given.is_dir()):
         file = given / FILE if given.is_dir() else given
         if not file.is_file():
             raise UserError(f"{file}: no such scenario file.")
@@ -115,14 +138,14 @@ def load(name: str, overrides: dict[str, tuple[object, str]] | None = None) -> L
         UserError: one sentence with file, key, what was found and what is accepted.
     """
     file = find(name)
-    given = values_in(file)
+    given = _of_config(file) if file.suffix == CONFIG else values_in(file)
     origin = dict.fromkeys(given, str(file))
     for name_given, (value, where) in (overrides or {}).items():
         changed = flat({name_given: value})
         given |= changed
         origin |= dict.fromkeys(changed, where)
     scenario = checked(given, origin, str(file))
-    if scenario.world == "sumo" and not (scenario.network and scenario.routes):
+    if scenario.world == "sumo" and not scenario.config and not (scenario.network and scenario.routes):
         missing = "network" if not scenario.network else "routes"
         raise UserError(f'{file}: key "{missing}" is missing; it names the file of the {missing}.')
     return Located(file.parent.name if file.name == FILE else file.stem, file.parent, scenario)
@@ -135,6 +158,19 @@ def values_in(file: Path) -> dict[str, Any]:
         UserError: the file cannot be read or is not TOML.
     """
     return flat(_read(file))
+
+
+def _of_config(file: Path) -> dict[str, Any]:
+    """A SUMO configuration as a scenario: its own traffic, its first car that travels far enough, to its arrival."""
+    return {
+        "title": file.name,
+        "config": file.name,
+        "ego": "",
+        "traffic.density": 0.0,
+        "warm_up": 0.0,
+        "duration": 3600.0,
+        "rates.driver_step": 0.05,
+    }
 
 
 def checked(given: dict[str, Any], origin: dict[str, str], file: str) -> Scenario:

@@ -16,6 +16,7 @@ _WORDS = {
     "load": "loading",
     "compile": "compiling the kernels, once per version: about half a minute",
     "warm-up": "warming up the traffic",
+    "wait": "waiting for the ego to depart",
     "drive": "driving",
 }
 _REFRESH = 0.1  # s
@@ -60,6 +61,8 @@ class Display:
         note = ""
         if name == "drive" and now > self._began:
             note = f"{done:5.1f} / {total:g} s, {done / (now - self._began):.0f} x real time"
+        elif name == "wait":
+            note = f"{done:5.1f} s"
         elif name == "warm-up":
             note = f"{done:5.1f} / {total:g} s"
         assert self._task is not None

@@ -167,7 +167,8 @@ def own_scenario(folder: Path, routes: str) -> Path:
     file = folder / "scenario.toml"
     names = 'through = "through"\nexit = "through"\nenter = "through"\n'
     head = f'network = "{LINE}"\nroutes = ["cars.rou.xml"]\nduration = 150.0\nwarm_up = 1.0\n'
-    file.write_text(f"{head}[traffic]\ndensity = 0.0\n{names}", encoding="utf-8")
+    stay = "[egos]\nlane_changes = false\n"
+    file.write_text(f"{head}{stay}[traffic]\ndensity = 0.0\n{names}", encoding="utf-8")
     return file
 
 

@@ -72,7 +72,7 @@ def refused(monkeypatch, capfd, tmp_path):
 MISSPELLED = (
     ("road.fricton=1", r'--set: unknown key "road\.fricton"\. Did you mean "road\.friction"\?'),
     ("friction=1", r'--set: unknown key "friction"\. Did you mean "road\.friction"\?'),
-    ("road.xyzzy=1", r'--set: unknown key "road\.xyzzy"\. Known: friction, speed_limit\.'),
+    ("road.xyzzy=1", r'--set: unknown key "road\.xyzzy"\. Known: friction, speed_limit, curve_accel, curve_decel\.'),
     ("xyzzy=1", r'--set: unknown key "xyzzy"\. Known: title, .*\brates, road, traffic, .*disturbance\.'),
     ("road.friction.dry=1", r'--set: unknown key "road\.friction\.dry"\. Did you mean "road\.friction"\?'),
     ("road={friction=0.5, ice=2}", r'--set: unknown key "road\.ice"\. Did you mean "road\.friction"\?'),
@@ -98,7 +98,7 @@ WRONG_VALUE = (
     ("routes=a.rou.xml", r'--set: routes: found "a\.rou\.xml"; accepted is a list of texts\.'),
     ("routes=[1]", r"--set: routes: found 1; accepted is a list of texts\."),
     ("lateral.feedforward=1", r"--set: lateral\.feedforward: found 1; accepted is true or false\."),
-    ("road=3", r"--set: road: found 3; accepted is a table of keys: friction, speed_limit\."),
+    ("road=3", r"--set: road: found 3; accepted is a table of keys: friction, speed_limit, curve_accel, curve_decel\."),
     ("lateral=3", r"--set: lateral: found 3; accepted is a table of keys: .*\bemran\b.*\."),
     (
         "rates.sumo_step=0.033",
@@ -273,7 +273,7 @@ def test_a_wrong_network_file_is_refused_with_the_reason(refused, tmp_path, netw
         ("traffic.through=thru", r"traffic: route 'thru' is declared in none of the route files\."),
         ("traffic.exit=thru", r"traffic: route 'thru' is declared in none of the route files\."),
         ("traffic.enter=thru", r"traffic: route 'thru' is declared in none of the route files\."),
-        ("warm_up=400", r'ego: vehicle "ego" of .* was not on the road .* not have arrived\.'),
+        ("warm_up=400", r'ego: vehicle "ego" of .* was not on the road .* not arrived\.'),
     ],
 )
 def test_files_and_names_that_do_not_exist_are_refused(refused, tmp_path, text, sentence):

@@ -10,10 +10,11 @@ import libsumo
 import numpy as np
 import pytest
 
-from emran_sumo import drive, scenario
+from emran_sumo import drive, opening, scenario
 from emran_sumo.errors import UserError
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.world.records import Pose
+from emran_sumo.world.session import scenario_options
 from emran_sumo.world.sumo import PHANTOM, SumoWorld
 
 LINE = Path(__file__).parent / "data" / "line.net.xml"  # 1 km at 30 m/s, then 1 km at 15 m/s, three lanes of 3.2 m
@@ -54,7 +55,7 @@ def world(tmp_path) -> Iterator[Callable[..., SumoWorld]]:
     def open_world(*vehicles: str, seed: int = 1) -> SumoWorld:
         file = tmp_path / f"cars{len(opened)}.rou.xml"
         file.write_text(MAKE.format(vehicles="\n    ".join(vehicles)), encoding="utf-8")
-        opened.append(SumoWorld(LINE, [file], STEP, seed, FRONT))
+        opened.append(SumoWorld(scenario_options(LINE, [file], [], 0.0), STEP, seed))
         return opened[-1]
 
     yield open_world
@@ -84,7 +85,7 @@ def mirrored(open_world: SumoWorld, names: tuple[str, ...], seconds: float) -> d
     for _ in open_world.warm_up(STEP):  # the ego departs
         for name in names:
             rows[name].append(look(name))
-    pose = open_world.take_over("ego", WIDTH).pose
+    pose = open_world.take_over("ego", FRONT, WIDTH).pose
     for _ in range(round(seconds / STEP) - 1):
         wanted = open_world.propose({"ego": pose})["ego"].speed
         x = pose.x + 0.5 * (pose.speed + wanted) * STEP
@@ -151,7 +152,7 @@ def test_the_ego_stops_where_its_stop_is(world):
 def test_others_are_told_the_true_speed_although_it_is_beyond_the_limit(world):
     w = world(vehicle("ego", 50, 20), vehicle("other", 20, 20))
     list(w.warm_up(STEP))
-    pose = w.take_over("ego", WIDTH).pose._replace(speed=38.0, accel=-6.0)
+    pose = w.take_over("ego", FRONT, WIDTH).pose._replace(speed=38.0, accel=-6.0)
     for _ in range(40):
         w.propose({"ego": pose})
         pose = pose._replace(x=pose.x + pose.speed * STEP)
@@ -174,7 +175,7 @@ def change_lanes(w: SumoWorld, others: int) -> list[Change]:
     """Slowly from lane 1 to lane 2 and back, one follower in each; checks what must hold in every step."""
     for _ in w.warm_up(1.0):
         pass
-    pose = start = w.take_over("ego", WIDTH).pose
+    pose = start = w.take_over("ego", FRONT, WIDTH).pose
     border = start.y + 1.6
     steps = []
     for k in range(500):
@@ -216,7 +217,7 @@ def test_a_faster_follower_in_the_other_lane_brakes_for_the_phantom(world):
     w = world(vehicle("ego", 150, 12), vehicle("follower0", 20, 12, "slow"), vehicle("follower1", 20, 25, lane=2))
     for _ in w.warm_up(STEP):
         pass
-    start = pose = w.take_over("ego", WIDTH).pose
+    start = pose = w.take_over("ego", FRONT, WIDTH).pose
     closest = math.inf
     for k in range(400):
         y = start.y + min(k / 40, 1.0) * 1.2  # the body reaches half a meter into the lane, the bumper's center stays
@@ -234,7 +235,7 @@ def watch(w: SumoWorld, poses: int, broken: int = -1) -> np.ndarray:
     with w:
         for _ in w.warm_up(1.0):
             pass
-        pose = w.take_over("ego", WIDTH).pose
+        pose = w.take_over("ego", FRONT, WIDTH).pose
         rows = []
         for k in range(poses):
             wanted = w.propose({"ego": pose})["ego"].speed
@@ -265,7 +266,7 @@ def test_closing_twice_is_closing_once(world):
 def test_an_ego_off_the_road_is_told_as_lost(world):
     w = world(vehicle("ego", 200, 20))
     list(w.warm_up(STEP))
-    pose = w.take_over("ego", WIDTH).pose
+    pose = w.take_over("ego", FRONT, WIDTH).pose
     w.propose({"ego": pose})
     away = pose._replace(y=pose.y + 200.0)
     w.commit({"ego": away})
@@ -283,20 +284,20 @@ def test_what_sumo_says_while_it_steps_is_one_plain_error(world, capfd):
 def test_the_take_over_hands_over_the_car_where_it_is(world):
     w = world(vehicle("ego", 200, 20, inside='<param key="double_lane_change.start" value="300"/>'))
     list(w.warm_up(1.0))
-    handed = w.take_over("ego", WIDTH)
+    handed = w.take_over("ego", FRONT, WIDTH)
     x, y = libsumo.vehicle.getPosition("ego")
     assert (handed.pose.x + FRONT, handed.pose.y, handed.pose.yaw) == pytest.approx((x, y, 0.0), abs=1e-9)
     assert handed.route_position == pytest.approx(x - FRONT, abs=1e-6)
     assert (handed.lanes_left, handed.lanes_right, handed.lane_width) == (1, 1, 3.2)
     assert handed.params == {"double_lane_change.start": "300"}
     np.testing.assert_allclose(handed.path.y, -4.8, atol=1e-6)
-    assert handed.path.x[-1] == pytest.approx(2000.0, abs=0.3), "along the whole route"
+    assert handed.path.x[-1] == pytest.approx(2060.0, abs=0.3), "along the whole route, and 60 m on for the preview"
 
 
 def test_the_speed_limit_of_a_scenario_is_the_one_of_the_main_lanes(tmp_path):
     file = tmp_path / "cars.rou.xml"
     file.write_text(MAKE.format(vehicles=vehicle("ego", 200, 20)), encoding="utf-8")
-    with SumoWorld(LINE, [file], STEP, 1, FRONT, speed_limit=25.0):
+    with SumoWorld(scenario_options(LINE, [file], [], 0.0), STEP, 1, speed_limit=25.0):
         assert {libsumo.lane.getMaxSpeed(f"fast_{i}") for i in range(3)} == {25.0}
         assert {libsumo.lane.getMaxSpeed(f"slow_{i}") for i in range(3)} == {15.0}
 
@@ -305,8 +306,8 @@ class Watched(SumoWorld):
     """Looks at SUMO a second time after every step; a class of its own because the run opens its world itself."""
 
     def __init__(self, *args) -> None:
-        self.departed: set[str] = set()
-        self.arrived: set[str] = set()
+        self.departed_ids: set[str] = set()
+        self.arrived_ids: set[str] = set()
         self.missing: set[str] = set()
         self.teleported = self.miscounted = self.phantoms_told = 0
         self.mirror_errors: list[float] = []
@@ -316,21 +317,21 @@ class Watched(SumoWorld):
         WATCHED.append(self)
 
     def _note_travel(self) -> None:
-        self.departed |= set(libsumo.simulation.getDepartedIDList())
-        self.arrived |= set(libsumo.simulation.getArrivedIDList())
+        self.departed_ids |= set(libsumo.simulation.getDepartedIDList())
+        self.arrived_ids |= set(libsumo.simulation.getArrivedIDList())
 
     def _note_step(self) -> None:
         self._note_travel()
         ids = set(libsumo.vehicle.getIDList())
-        phantoms = {name for name in ids | self.departed if name.startswith(PHANTOM)}
+        phantoms = {name for name in ids | self.departed_ids if name.startswith(PHANTOM)}
         self.phantoms.append(len(phantoms & ids))
-        present = self.departed - self.arrived - phantoms
+        present = self.departed_ids - self.arrived_ids - phantoms
         self.missing |= present ^ (ids - phantoms)
         self.miscounted += self.vehicle_count() != len(present)
         self.teleported += libsumo.simulation.getStartingTeleportNumber()
 
-    def _advance(self) -> None:
-        super()._advance()
+    def advance(self) -> None:
+        super().advance()
         self._note_step()
 
     def propose(self, poses):
@@ -366,7 +367,7 @@ class Ledger(NamedTuple):
 def ledger(tmp_path_factory) -> Ledger:
     located = scenario.load("highway_dlc", {"duration": (30.0, "test")})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drive, "SumoWorld", Watched)
+        patch.setattr(opening, "SumoWorld", Watched)
         result = drive.run(located, tmp_path_factory.mktemp("runs"), record=False)
     return Ledger(WATCHED.pop(), result)
 
@@ -382,8 +383,8 @@ def test_sumo_knows_the_speed_of_the_ego(ledger):
 
 
 def test_nobody_is_teleported_or_removed_for_the_ego(ledger):
-    assert len(ledger.world.departed) > 200
-    assert ledger.world.arrived
+    assert len(ledger.world.departed_ids) > 200
+    assert ledger.world.arrived_ids
     assert ledger.world.missing == set()
     assert ledger.world.teleported == ledger.world.miscounted == 0
     assert ledger.result.metrics["safety"]["collisions"] == 0

@@ -26,9 +26,9 @@ class SensorParams(NamedTuple):
     pitch_rate_bias: Annotated[float, Field(ge=-0.1, le=0.1), Unit("rad/s")] = 0.0
 
 
-def noise_source(seed: int) -> np.random.Generator:
-    """Source of the standard normal numbers of one ego; drawn in the order of time, so chunks do not matter."""
-    return np.random.default_rng([seed, 2])
+def noise_source(seed: int, index: int = 0) -> np.random.Generator:
+    """Source of the standard normal numbers of ego `index`; drawn in the order of time, so chunks do not matter."""
+    return np.random.default_rng([seed, 2, index])
 
 
 @njit

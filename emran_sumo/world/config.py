@@ -30,6 +30,13 @@ OURS = {
 SHORT = {"n": "net-file", "r": "route-files", "a": "additional-files", "b": "begin", "e": "end"}
 
 
+# elements of additional files that write to what their `file` or `dest` names; every other `file` is read
+WRITERS = {
+    "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector", "entryExitDetector", "e3Detector", "edgeData",
+    "instantInductionLoop", "laneData", "vTypeProbe", "routeProbe", "timedEvent", "edgedata", "lanedata",
+}  # fmt: skip
+
+
 class SumoConfig(NamedTuple):
     """options: name -> value for SUMO; begin [s]; step: the file's own step [s] or None; notes: what was left out."""
 
@@ -102,3 +109,38 @@ def seconds(text: str, file: Path) -> float:
         raise UserError(f'{file}: found the time "{text}"; accepted are seconds or h:m:s.') from None
     scale = (1.0, 60.0, 3600.0, 86_400.0)
     return sum(part * unit for part, unit in zip(reversed(parts), scale, strict=False))
+
+
+def redirected(config: SumoConfig, folder: Path) -> dict[str, str]:
+    """The options with every output in `folder`, so that the user's own folder stays as it is.
+
+    Additional files that write something are copied there first: SUMO puts what they write beside them.
+    """
+    options = dict(config.options)
+    for name, value in options.items():
+        if name.endswith("-output") or name in ("netstate-dump", "save-state.prefix"):
+            options[name] = str(folder.resolve() / Path(value.replace("\\", "/")).name)
+    if "additional-files" in options:
+        files = [Path(name) for name in options["additional-files"].split(",")]
+        options["additional-files"] = ",".join(str(_redirected_file(file, folder)) for file in files)
+    return options
+
+
+def _redirected_file(file: Path, folder: Path) -> Path:
+    try:
+        tree = ET.parse(file)
+    except (ET.ParseError, OSError):
+        return file  # compressed, or something SUMO will complain about itself
+    writers = [element for element in tree.iter() if element.tag in WRITERS]
+    if not any(element.get("file") or element.get("dest") for element in writers):
+        return file
+    for element in tree.iter():
+        for key in ("file", "dest", "href", "imgFile", "output"):
+            value = element.get(key)
+            if not value or value == "NUL":
+                continue
+            out = key in ("dest", "output") or (key == "file" and element.tag in WRITERS)
+            element.set(key, Path(value.replace("\\", "/")).name if out else str((file.parent / value).resolve()))
+    copy = folder.resolve() / f"{folder.name}.{file.name}"
+    tree.write(copy, encoding="utf-8", xml_declaration=True)
+    return copy

@@ -42,6 +42,21 @@ class Traffic(NamedTuple):
     speed: np.ndarray  # m/s
 
 
+class Others(NamedTuple):
+    """Traffic seen from the lane that an ego follows or changes to.
+
+    ahead: position of the center of each body ahead of the ego's center [m], negative behind; offset: lateral, from the
+    lane's center [m], left positive; speed [m/s]; length, width [m]; arrays (n,). own_offset: of the ego itself [m].
+    """
+
+    ahead: np.ndarray
+    offset: np.ndarray
+    speed: np.ndarray
+    length: np.ndarray
+    width: np.ndarray
+    own_offset: float = 0.0
+
+
 NOBODY = Traffic((), *(np.zeros(0) for _ in range(7)))
 
 
@@ -56,13 +71,15 @@ class Pose(NamedTuple):
 
 
 class Intent(NamedTuple):
-    """What the world wants of an ego in one step: its speed [m/s] at the end.
+    """What the world wants of an ego in one step.
 
-    Where the profile within the step is known: speeds (n + 1,) [m/s] at the borders of the n control periods and
-    accels (n,) [m/s2], ahead by the lag of the drive.
+    speed [m/s] at the end of the step. side: +1 to change to the lane on the left, -1 right, 0 stay; only a change that
+    nobody blocks. Where the profile within the step is known: speeds (n + 1,) [m/s] at the borders of the n control
+    periods and accels (n,) [m/s2], ahead by the lag of the drive.
     """
 
     speed: float
+    side: int = 0
     speeds: np.ndarray | None = None
     accels: np.ndarray | None = None
 
@@ -71,7 +88,7 @@ class TakeOver(NamedTuple):
     """An ego as the world hands it over.
 
     pose; path: center of its lane along the route; lane_width [m]; lanes_left, lanes_right: lanes beside its own;
-    params: of the vehicle; route_position: how far along its route the pose is [m].
+    params: of the vehicle; route_position: how far along its route the pose is [m]; route_length [m].
     """
 
     pose: Pose
@@ -81,3 +98,4 @@ class TakeOver(NamedTuple):
     lanes_right: int
     params: dict[str, str]
     route_position: float
+    route_length: float

@@ -1,19 +1,21 @@
-"""The only door to libsumo: start, take over, propose, commit; SUMO's compass and bumper points stay in here."""
+"""One SUMO simulation with vehicles driven from outside: take over, propose, commit.
+
+SUMO's compass degrees and front-bumper points stay in here.
+"""
 
 import contextlib
 import math
-import os
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import libsumo
 import numpy as np
 
-from emran_sumo.errors import UserError
-from emran_sumo.world.lanes import joined, smooth_path
-from emran_sumo.world.records import NOBODY, Intent, Lane, Pose, Road, TakeOver, Traffic
+from emran_sumo.path import Path
+from emran_sumo.world import session
+from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
+from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
+from emran_sumo.world.session import SUMO_ERRORS, told
 
 SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
@@ -21,8 +23,13 @@ PHANTOM = "emran_sumo.phantom."  # holds the second lane while the ego's body ov
 KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
-WAIT_FOR_DEPARTURE = 300.0  # s beyond the warm-up
-SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+LEFT, RIGHT = 2, 4  # bits of a lane change wish
+REASONS = 8 | 16 | 32 | 64  # strategic, cooperative, speed gain, keep right
+# by leaders or followers on either side, by overlapping vehicles, by too little room or speed
+BLOCKED = 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 28
+UNKNOWN = 1 << 30
+REMOVE_ARRIVED = 2
+ARRIVAL_ROOM = 2.0  # steps before the arrival position: SUMO removes no vehicle that is moved from outside
 
 
 class SumoWorld:
@@ -32,10 +39,8 @@ class SumoWorld:
     is still pending at close would remove the vehicle of the same id from the next simulation of the process).
 
     Args:
-        network, route_files: of the simulation; the files are read in order.
+        options: of SUMO, see `session.scenario_options`.
         step: [s]; seed: of SUMO.
-        front: distance from the center of gravity to the front bumper [m].
-        driver_step: how often other drivers decide [s]; 0 for every step.
         speed_limit: of every lane outside ramps and junctions [m/s]; 0 keeps the network's.
         gui: open SUMO's own window.
 
@@ -44,26 +49,18 @@ class SumoWorld:
     """
 
     def __init__(
-        self,
-        network: Path,
-        route_files: list[Path],
-        step: float,
-        seed: int,
-        front: float,
-        speed_limit: float = 0.0,
-        driver_step: float = 0.0,
-        gui: bool = False,
+        self, options: dict[str, str], step: float, seed: int, speed_limit: float = 0.0, gui: bool = False
     ) -> None:
         self.step = step
-        self._front = front
         self._pending = False
+        self._closed = False
         self._sizes: dict[str, tuple[float, float, float]] = {}
         self._phantoms: set[str] = set()
+        self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
-        self._lines: dict[str, np.ndarray] = {}
-        self._closed = False
-        self._last_message = ""
-        self._start(network, route_files, seed, driver_step, gui)
+        self.last_message = ""
+        session.start(options, step, seed, gui)
+        self.map = RoadMap()
         try:
             self._limit_speed(speed_limit)
         except BaseException:
@@ -81,40 +78,6 @@ class SumoWorld:
         """Simulated time [s]."""
         return libsumo.simulation.getTime()
 
-    def _start(self, network: Path, route_files: list[Path], seed: int, driver_step: float, gui: bool) -> None:
-        for kind, file in [("network", network), *(("route", file) for file in route_files)]:
-            if not file.is_file():
-                raise UserError(f"{file}: no such {kind} file.")
-        if gui and os.name == "posix" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise UserError("--sumo-gui: there is no display; accepted is a session with one (DISPLAY is not set).")
-        options = {
-            "net-file": str(network),
-            "route-files": ",".join(map(str, route_files)),
-            "step-length": f"{self.step:g}",
-            "step-method.ballistic": "true",
-            "seed": str(seed),
-            "default.action-step-length": f"{driver_step:g}",
-            "collision.action": "warn",
-            "collision.mingap-factor": "0",
-            "collision.check-junctions": "true",
-            "time-to-teleport": "-1",
-            "no-step-log": "true",
-            "no-warnings": "true",
-            "duration-log.disable": "true",
-            "xml-validation": "never",
-        }
-        command = ["sumo-gui" if gui else "sumo"]
-        for key, value in options.items():
-            command += [f"--{key}", value]
-        if gui:
-            command += ["--start", "--quit-on-end", "--delay", f"{self.step * 1000:g}"]
-        with _messages() as read:
-            try:
-                libsumo.start(command)
-            except SUMO_ERRORS as error:
-                reason = read() or str(error)
-                raise UserError(f"SUMO cannot start with {network}: {_one_line(reason)}") from None
-
     def _limit_speed(self, limit: float) -> None:
         if limit <= 0.0:
             return
@@ -124,90 +87,93 @@ class SumoWorld:
                 libsumo.lane.setMaxSpeed(lane, limit)
 
     def warm_up(self, duration: float) -> Iterator[float]:
-        """Step SUMO alone for `duration` [s]; yields the simulated time."""
-        for _ in range(round(duration / self.step)):
-            self._advance()
-            yield self.time
+        """Step SUMO alone for `duration` [s]; yields the seconds done."""
+        for k in range(round(duration / self.step)):
+            self.advance()
+            yield (k + 1) * self.step
 
-    def wait_for(self, ego: str, files: list[Path]) -> None:
-        """Step until `ego` is on the road.
+    def advance(self) -> None:
+        """One step in which nobody is driven from outside."""
+        with session.messages() as read:
+            try:
+                with told():
+                    libsumo.simulation.step()
+            finally:
+                self.last_message = read() or self.last_message
 
-        Raises:
-            UserError: it does not depart in WAIT_FOR_DEPARTURE seconds, or has left already.
+    def present(self) -> tuple[str, ...]:
+        """Vehicles on the road."""
+        return tuple(name for name in libsumo.vehicle.getIDList() if not name.startswith(PHANTOM))
+
+    def departed(self) -> tuple[str, ...]:
+        """Vehicles that have come in the last step."""
+        return tuple(name for name in libsumo.simulation.getDepartedIDList() if not name.startswith(PHANTOM))
+
+    def expected(self) -> int:
+        """Vehicles on the road or still to come."""
+        return libsumo.simulation.getMinExpectedNumber()
+
+    def kind(self, name: str) -> tuple[str, str]:
+        """Type and class of a vehicle."""
+        return libsumo.vehicle.getTypeID(name).partition("@")[0], libsumo.vehicle.getVehicleClass(name)
+
+    def size(self, name: str) -> tuple[float, float, float]:
+        """Length, width and height of a vehicle [m]."""
+        found = self._sizes.get(name)
+        if found is None:
+            vehicle = libsumo.vehicle
+            found = (vehicle.getLength(name), vehicle.getWidth(name), vehicle.getHeight(name))
+            self._sizes[name] = found
+        return found
+
+    def route_length(self, name: str) -> float:
+        """Length [m] of what is left of a vehicle's route, junctions not counted."""
+        edges = libsumo.vehicle.getRoute(name)[max(libsumo.vehicle.getRouteIndex(name), 0) :]
+        return sum(libsumo.lane.getLength(f"{edge}_0") for edge in edges)
+
+    def take_over(self, ego: str, front: float, width: float, lane_changes: bool = True) -> TakeOver:
+        """Drive `ego` from outside from now on; it stays an ordinary vehicle for everybody else.
+
+        Args:
+            ego: id; front: from its center of gravity to the front bumper [m]; width: of its body [m].
+            lane_changes: SUMO plans them; a vehicle that declares a maneuver of its own never gets any.
         """
-        end = self.time + WAIT_FOR_DEPARTURE
-        while ego not in libsumo.vehicle.getIDList():
-            if libsumo.simulation.getMinExpectedNumber() == 0 or self.time > end:
-                names = ", ".join(str(file) for file in files)
-                said = f" SUMO said: {_one_line(self._last_message)}" if self._last_message else ""
-                raise UserError(
-                    f'ego: vehicle "{ego}" of {names} was not on the road when the warm-up ended or within '
-                    f"{WAIT_FOR_DEPARTURE:g} s after it; it must have departed by then and not have arrived.{said}"
-                )
-            self._advance()
-
-    def take_over(self, ego: str, width: float) -> TakeOver:
-        """Drive `ego`, `width` [m] wide, from outside; it stays an ordinary vehicle for everybody else."""
         vehicle = libsumo.vehicle
-        self._widths[ego] = width
-        vehicle.setLaneChangeMode(ego, LANE_CHANGE_OURS)
+        self._fronts[ego], self._widths[ego] = front, width
+        params = {key: vehicle.getParameter(ego, key) for key in DOUBLE_LANE_CHANGE}
+        params = {key: value for key, value in params.items() if value}
+        vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
-        vehicle.subscribeContext(
-            ego,
-            libsumo.CMD_GET_VEHICLE_VARIABLE,
-            SIGHT,
-            [libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED],
-        )
+        seen = [libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED]
+        vehicle.subscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT, seen)
         lane = vehicle.getLaneID(ego)
         edge, index = libsumo.lane.getEdgeID(lane), vehicle.getLaneIndex(ego)
-        position, angle = vehicle.getPosition(ego), vehicle.getAngle(ego)
-        yaw = math.radians(90.0 - angle)
-        x, y = position[0] - self._front * math.cos(yaw), position[1] - self._front * math.sin(yaw)
-        pose = Pose(x, y, yaw, vehicle.getSpeed(ego), vehicle.getAcceleration(ego))
-        params = {key: vehicle.getParameter(ego, key) for key in DOUBLE_LANE_CHANGE}
+        position, yaw = vehicle.getPosition(ego), math.radians(90.0 - vehicle.getAngle(ego))
+        x, y = position[0] - front * math.cos(yaw), position[1] - front * math.sin(yaw)
+        passed = vehicle.getRoute(ego)[: vehicle.getRouteIndex(ego)]
+        before = sum(libsumo.lane.getLength(f"{name}_0") for name in passed)
+        path = self.lane_path(ego, 0)
+        assert path is not None
         return TakeOver(
-            pose,
-            smooth_path(self._center_line(ego, lane)),
+            Pose(x, y, yaw, vehicle.getSpeed(ego), vehicle.getAcceleration(ego)),
+            path,
             libsumo.lane.getWidth(lane),
             libsumo.edge.getLaneNumber(edge) - 1 - index,
             index,
-            {key: value for key, value in params.items() if value},
-            self._route_position(ego) - self._front,
+            params,
+            before + vehicle.getLanePosition(ego) - front,
+            before + self.route_length(ego),
         )
 
-    def _route_position(self, ego: str) -> float:
-        """Distance [m] of the front bumper from the start of the route's first edge, junctions not counted."""
-        passed = libsumo.vehicle.getRoute(ego)[: libsumo.vehicle.getRouteIndex(ego)]
-        before = sum(libsumo.lane.getLength(f"{edge}_0") for edge in passed)
-        return before + libsumo.vehicle.getLanePosition(ego)
-
-    def _center_line(self, ego: str, lane: str) -> np.ndarray:
-        """Center line of the lanes that lead from `lane` along the route, and back over the lane before it."""
-        route = list(libsumo.vehicle.getRoute(ego))
-        at = libsumo.vehicle.getRouteIndex(ego)
-        chain = [*self._lanes_before(lane, route[:at]), lane]
-        for edge in route[at + 1 :]:
-            links = [link for link in libsumo.lane.getLinks(chain[-1]) if libsumo.lane.getEdgeID(link[0]) == edge]
-            if not links:
-                break
-            target, via = links[0][0], links[0][4]
-            while via and libsumo.lane.getEdgeID(via).startswith(":"):
-                chain.append(via)
-                inner = libsumo.lane.getLinks(via)
-                via = inner[0][4] if inner else ""
-            chain.append(target)
-        return joined([_shape(name) for name in chain])
-
-    def _lanes_before(self, lane: str, edges: list[str]) -> list[str]:
-        """The lane of the edge before that leads into `lane`: the rear of the car may still be there."""
-        if not edges:
-            return []
-        count = libsumo.edge.getLaneNumber(edges[-1])
-        for candidate in (f"{edges[-1]}_{i}" for i in range(count)):
-            for link in libsumo.lane.getLinks(candidate):
-                if link[0] == lane:
-                    return [candidate, link[4]] if link[4] else [candidate]
-        return []
+    def lane_path(self, ego: str, side: int) -> Path | None:
+        """Smooth path along the route from the ego's lane, or from the one beside (side +1 left, -1 right)."""
+        lane = libsumo.vehicle.getLaneID(ego)
+        if side != 0:
+            beside = None if lane.startswith(":") else self.map.neighbor(lane, side)
+            if beside is None:
+                return None
+            lane = beside
+        return self.map.path(lane, tuple(libsumo.vehicle.getRoute(ego)), max(libsumo.vehicle.getRouteIndex(ego), 0))
 
     def propose(self, poses: dict[str, Pose]) -> dict[str, Intent]:
         """What SUMO wants of each ego for the step that begins now.
@@ -215,14 +181,23 @@ class SumoWorld:
         Each ego is first moved to where it would be at constant speed; SUMO then decides (`executeMove`), so that its
         wish answers the present state without a step of delay.
         """
-        with _told():
+        with told():
             for ego, pose in poses.items():
-                ahead = pose.speed * self.step
+                ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
                 self._place(ego, pose._replace(x=x, y=y))
             self._pending = True
             libsumo.simulation.executeMove()
-            return {ego: Intent(self._wish(ego)) for ego in poses}
+            return {ego: self._intent(ego) for ego in poses}
+
+    def _intent(self, ego: str) -> Intent:
+        vehicle = libsumo.vehicle
+        speed = self._wish(ego)
+        for side, bit in ((1, LEFT), (-1, RIGHT)):
+            state = vehicle.getLaneChangeState(ego, side)[0]
+            if state != UNKNOWN and state & bit and state & REASONS and not state & BLOCKED:
+                return Intent(speed, side)
+        return Intent(speed)
 
     def _wish(self, ego: str) -> float:
         """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
@@ -235,15 +210,18 @@ class SumoWorld:
 
     def commit(self, poses: dict[str, Pose]) -> None:
         """Write the true poses of the egos at the end of the step back and finish the step."""
-        with _told():
+        with told():
             for ego, pose in poses.items():
                 self._place(ego, pose)
             libsumo.simulation.step()
             self._pending = False
             for ego, pose in poses.items():
-                libsumo.vehicle.setPreviousSpeed(ego, pose.speed, pose.accel)
+                if not self.lane_of(ego):
+                    continue
+                speed = max(pose.speed, 0.0)
+                libsumo.vehicle.setPreviousSpeed(ego, speed, pose.accel)
                 if PHANTOM + ego in self._phantoms:
-                    libsumo.vehicle.setPreviousSpeed(PHANTOM + ego, pose.speed, pose.accel)
+                    libsumo.vehicle.setPreviousSpeed(PHANTOM + ego, speed, pose.accel)
 
     def ask_for_room(self, ego: str, side: int) -> None:
         """Let SUMO look for a gap in the lane beside (side +1 left, -1 right, 0 no more): it adapts the ego's speed
@@ -255,10 +233,9 @@ class SumoWorld:
             libsumo.vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT)
             libsumo.vehicle.changeLane(ego, libsumo.vehicle.getLaneIndex(ego) + side, 1e6)
 
-    def _move(self, vehicle: str, x: float, y: float, yaw: float) -> None:
-        bumper_x, bumper_y = x + self._front * math.cos(yaw), y + self._front * math.sin(yaw)
-        angle = (90.0 - math.degrees(yaw)) % 360.0
-        libsumo.vehicle.moveToXY(vehicle, "", -1, bumper_x, bumper_y, angle, KEEP_ROUTE_EXACT)
+    def _bumper(self, ego: str, pose: Pose) -> tuple[float, float]:
+        front = self._fronts[ego]
+        return pose.x + front * math.cos(pose.yaw), pose.y + front * math.sin(pose.yaw)
 
     def _place(self, ego: str, pose: Pose) -> None:
         """Put the ego at a pose, and its phantom beside it where the body overlaps a second lane.
@@ -266,18 +243,16 @@ class SumoWorld:
         The phantom gives traffic in both lanes the ego as its leader.
         """
         lane = self._overlapped(ego, pose)
-        self._move(ego, pose.x, pose.y, pose.yaw)
+        bumper = self._bumper(ego, pose)
+        _move(ego, *bumper, pose.yaw)
         phantom = PHANTOM + ego
         if lane is None:
-            if phantom in self._phantoms:
-                libsumo.vehicle.remove(phantom)
-                self._phantoms.remove(phantom)
+            self._drop_phantom(phantom)
             return
         if phantom not in self._phantoms:
             self._add_phantom(ego, phantom)
-        bumper = (pose.x + self._front * math.cos(pose.yaw), pose.y + self._front * math.sin(pose.yaw))
-        x, y, yaw = _beside(self._line(lane), bumper)
-        libsumo.vehicle.moveToXY(phantom, "", -1, x, y, (90.0 - math.degrees(yaw)) % 360.0, KEEP_ROUTE_EXACT)
+        beside = self.map.beside(lane, *bumper)
+        _move(phantom, beside.x, beside.y, beside.yaw)
 
     def _add_phantom(self, ego: str, phantom: str) -> None:
         vehicle = libsumo.vehicle
@@ -288,33 +263,30 @@ class SumoWorld:
         vehicle.setActionStepLength(phantom, self.step)
         self._phantoms.add(phantom)
 
+    def _drop_phantom(self, phantom: str) -> None:
+        if phantom in self._phantoms:
+            self._phantoms.remove(phantom)
+            with contextlib.suppress(*SUMO_ERRORS):
+                libsumo.vehicle.remove(phantom)
+
     def _overlapped(self, ego: str, pose: Pose) -> str | None:
         """The lane beside its own that the body reaches into at `pose`, or None.
 
         SUMO puts a vehicle on the lane that holds the center of its front bumper.
         """
-        lane = libsumo.vehicle.getLaneID(ego)
-        edge = libsumo.lane.getEdgeID(lane) if lane else ":"
-        if edge.startswith(":"):
+        lane = self.lane_of(ego)
+        if not lane or lane.startswith(":"):
             return None
         half = 0.5 * libsumo.lane.getWidth(lane)
         if abs(libsumo.vehicle.getLateralLanePosition(ego)) + 0.5 * self._widths[ego] + SIDE_STEP < half:
             return None  # well inside at the last step: spare the search for the nearest point
-        front = (pose.x + self._front * math.cos(pose.yaw), pose.y + self._front * math.sin(pose.yaw))
-        x, y, yaw = _beside(self._line(lane), front)
-        offset = -(front[0] - x) * math.sin(yaw) + (front[1] - y) * math.cos(yaw)
+        offset = self.map.beside(lane, *self._bumper(ego, pose)).offset
         if abs(offset) > half:
-            return lane  # the bumper crosses into the next lane: the body is still here
+            # the bumper crosses into the next lane: the body is still here
+            return lane if self.map.neighbor(lane, 1 if offset > 0 else -1) else None
         if abs(offset) + 0.5 * self._widths[ego] <= half:
             return None
-        index = int(lane.rsplit("_", 1)[1]) + (1 if offset > 0 else -1)
-        return f"{edge}_{index}" if 0 <= index < libsumo.edge.getLaneNumber(edge) else None
-
-    def _line(self, lane: str) -> np.ndarray:
-        """Center line (n, 2) of a lane, asked of SUMO once."""
-        if lane not in self._lines:
-            self._lines[lane] = _shape(lane)[:, :2]
-        return self._lines[lane]
+        return self.map.neighbor(lane, 1 if offset > 0 else -1)
 
     def mirror_error(self, ego: str, pose: Pose) -> float:
         """Distance [m] between SUMO's pose of the ego and `pose`; the yaw counts with the length of the car."""
@@ -323,12 +295,11 @@ class SumoWorld:
         x, y = libsumo.vehicle.getPosition(ego)
         turn = math.radians(90.0 - libsumo.vehicle.getAngle(ego)) - pose.yaw
         turn = math.remainder(turn, 2.0 * math.pi)
-        dx = x - pose.x - self._front * math.cos(pose.yaw)
-        dy = y - pose.y - self._front * math.sin(pose.yaw)
-        return math.hypot(dx, dy) + abs(turn) * self._front
+        bumper = self._bumper(ego, pose)
+        return math.hypot(x - bumper[0], y - bumper[1]) + abs(turn) * self._fronts[ego]
 
     def neighbors(self, ego: str) -> Traffic:
-        """Traffic within SIGHT of the ego, without the ego and its phantom."""
+        """Traffic within SIGHT of the ego, without the ego and the phantoms."""
         seen = libsumo.vehicle.getContextSubscriptionResults(ego)
         ids = [name for name in seen if name != ego and not name.startswith(PHANTOM)]
         if not ids:
@@ -336,18 +307,11 @@ class SumoWorld:
         raw = np.array(
             [(*seen[i][libsumo.VAR_POSITION], seen[i][libsumo.VAR_ANGLE], seen[i][libsumo.VAR_SPEED]) for i in ids]
         )
-        length, width, height = np.array([self._size(name) for name in ids]).T
+        length, width, height = np.array([self.size(name) for name in ids]).T
         yaw = np.radians(90.0 - raw[:, 2])
         x = raw[:, 0] - 0.5 * length * np.cos(yaw)
         y = raw[:, 1] - 0.5 * length * np.sin(yaw)
         return Traffic(tuple(ids), x, y, yaw, length, width, height, raw[:, 3])
-
-    def _size(self, name: str) -> tuple[float, float, float]:
-        size = self._sizes.get(name)
-        if size is None:
-            vehicle = libsumo.vehicle
-            size = self._sizes[name] = (vehicle.getLength(name), vehicle.getWidth(name), vehicle.getHeight(name))
-        return size
 
     def lane_of(self, ego: str) -> str:
         """Lane that SUMO has the ego on; "" when it is off the road or gone."""
@@ -355,6 +319,25 @@ class SumoWorld:
             return libsumo.vehicle.getLaneID(ego)
         except SUMO_ERRORS:
             return ""
+
+    def arrived(self, ego: str) -> bool:
+        """Whether the ego is at the end of its route: SUMO itself removes no vehicle that is moved from outside."""
+        vehicle = libsumo.vehicle
+        route = vehicle.getRoute(ego)
+        if vehicle.getRoadID(ego) != route[-1] or vehicle.getRouteIndex(ego) < len(route) - 1:
+            return False
+        # a stop that is still to be made comes first
+        if vehicle.getStops(ego, 1):
+            return False
+        end = libsumo.lane.getLength(vehicle.getLaneID(ego))
+        room = max(ARRIVAL_ROOM * vehicle.getSpeed(ego) * self.step, 1.0)
+        return vehicle.getLanePosition(ego) > end - room
+
+    def release(self, ego: str) -> None:
+        """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
+        self._drop_phantom(PHANTOM + ego)
+        with contextlib.suppress(*SUMO_ERRORS):
+            libsumo.vehicle.remove(ego, REMOVE_ARRIVED)
 
     def collisions(self) -> list[tuple[str, str]]:
         """Colliding pairs that SUMO reports for the last step, without phantoms."""
@@ -368,21 +351,7 @@ class SumoWorld:
 
     def road(self) -> Road:
         """Lanes outside junctions and the junctions' outlines."""
-        lanes = []
-        for edge in libsumo.edge.getIDList():
-            if edge.startswith(":"):
-                continue
-            count = libsumo.edge.getLaneNumber(edge)
-            for index in range(count):
-                name = f"{edge}_{index}"
-                lanes.append(Lane(name, edge, index, count, libsumo.lane.getWidth(name), _shape(name)))
-        shapes = [np.array(libsumo.junction.getShape(name)) for name in libsumo.junction.getIDList()]
-        return Road(tuple(lanes), tuple(shape[:, :2] for shape in shapes if shape.ndim == 2 and len(shape) > 2))
-
-    def _advance(self) -> None:
-        with _messages() as read, _told():
-            libsumo.simulation.step()
-            self._last_message = read() or self._last_message
+        return self.map.road()
 
     def close(self) -> None:
         """Complete a pending step and close SUMO; safe to call twice."""
@@ -396,55 +365,6 @@ class SumoWorld:
             libsumo.close()
 
 
-def version() -> str:
-    """Version of SUMO."""
-    return libsumo.getVersion()[1].removeprefix("SUMO ")
-
-
-def _shape(lane: str) -> np.ndarray:
-    """Center line (n, 3) of a lane."""
-    shape = np.array(libsumo.lane.getShape(lane), dtype=float)
-    return shape if shape.shape[1] == 3 else np.column_stack((shape, np.zeros(len(shape))))
-
-
-def _beside(line: np.ndarray, point: tuple[float, float]) -> tuple[float, float, float]:
-    """Nearest point of a polyline (n, 2) and its direction [rad]."""
-    start, along = line[:-1], np.diff(line, axis=0)
-    share = np.clip(((point - start) * along).sum(1) / (along**2).sum(1), 0.0, 1.0)
-    foot = start + share[:, None] * along
-    k = int(np.argmin(((foot - point) ** 2).sum(1)))
-    return float(foot[k, 0]), float(foot[k, 1]), math.atan2(along[k, 1], along[k, 0])
-
-
-def _one_line(text: str) -> str:
-    lines = [line.strip().removeprefix("Error:").strip() for line in text.splitlines()]
-    lines = [line for line in lines if line and not line.startswith("Quitting")]
-    text = " ".join(lines)
-    return text if text.endswith(".") else text + "."
-
-
-@contextlib.contextmanager
-def _messages():
-    """Catch what SUMO writes to file descriptor 2, the only place where it tells why it cannot start."""
-    with tempfile.TemporaryFile() as sink:
-        saved = os.dup(2)
-        os.dup2(sink.fileno(), 2)
-
-        def read() -> str:
-            sink.seek(0)
-            return sink.read().decode(errors="replace")
-
-        try:
-            yield read
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-
-
-@contextlib.contextmanager
-def _told():
-    """Turn SUMO's exceptions, which cannot even be pickled, into a plain sentence."""
-    try:
-        yield
-    except SUMO_ERRORS as error:
-        raise UserError(f"SUMO stopped: {_one_line(str(error))}") from None
+def _move(vehicle: str, x: float, y: float, yaw: float) -> None:
+    angle = (90.0 - math.degrees(yaw)) % 360.0
+    libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, KEEP_ROUTE_EXACT)

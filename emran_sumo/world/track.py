@@ -145,20 +145,20 @@ class TrackWorld:
         del duration
         yield 0.0
 
-    def take_over(self, ego: str, width: float) -> TakeOver:
+    def take_over(self, ego: str, front: float, width: float, lane_changes: bool = True) -> TakeOver:
         """The car at the start of the road, at the speed of the profile."""
-        del ego, width
+        del ego, front, width, lane_changes
         start = point_at(self._path, LEAD_IN)
         speed = float(speed_reference(self._track, np.zeros(1))[0])
         pose = Pose(start.x, start.y, start.yaw, speed, 0.0)
-        return TakeOver(pose, self._path, LANE_WIDTH, 0, 0, {}, 0.0)
+        return TakeOver(pose, self._path, LANE_WIDTH, 0, 0, {}, 0.0, self.length - LEAD_IN)
 
     def propose(self, poses: dict[str, Pose]) -> dict[str, Intent]:
         """The speed profile over the step that begins now."""
         times = self.time + self._shares
         speeds = speed_reference(self._track, times)
         accels = accel_reference(self._track, times[:-1] + self._preview)
-        return {ego: Intent(float(speeds[-1]), speeds, accels) for ego in poses}
+        return {ego: Intent(float(speeds[-1]), 0, speeds, accels) for ego in poses}
 
     def commit(self, poses: dict[str, Pose]) -> None:
         """Time goes on."""
@@ -167,6 +167,18 @@ class TrackWorld:
 
     def ask_for_room(self, ego: str, side: int) -> None:
         """Nobody to ask."""
+
+    def lane_path(self, ego: str, side: int) -> Path | None:
+        """There is no other lane."""
+        del ego, side
+
+    def arrived(self, ego: str) -> bool:
+        """The road is longer than the run."""
+        del ego
+        return False
+
+    def release(self, ego: str) -> None:
+        """Nothing to hand back."""
 
     def mirror_error(self, ego: str, pose: Pose) -> float:
         """There is no copy that could differ."""

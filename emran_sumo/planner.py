@@ -1,0 +1,179 @@
+"""Where the ego goes: along its lane and its route, with the lane changes that SUMO wishes or the vehicle declares."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from emran_sumo import maneuver
+from emran_sumo.ego import Ego
+from emran_sumo.errors import UserError
+from emran_sumo.loop import AT
+from emran_sumo.maneuver import DoubleLaneChange
+from emran_sumo.path import Path, nearest, path_length
+from emran_sumo.world.lanes import blended
+from emran_sumo.world.records import Intent, Others, TakeOver
+
+WAITING = "waiting for a gap"
+DURATION = 4.0  # s of a lane change
+SHORTEST = 20.0  # m of a lane change
+REST = 1.0  # s between lane changes
+PATIENCE = 2.0  # s ahead that a gap must last until the ego is across
+REACH = 120.0  # m of path that must lie ahead, else it is built anew
+
+
+class Lanes(Protocol):
+    """What a planner asks of the world."""
+
+    def lane_path(self, ego: str, side: int) -> Path | None:
+        """Path along the route from the ego's lane or the one beside."""
+        ...
+
+    def ask_for_room(self, ego: str, side: int) -> None:
+        """Let the world make room beside the ego."""
+        ...
+
+
+class DoubleLaneChanger:
+    """Drives the declared double lane change of one ego, once, where a gap is free."""
+
+    def __init__(self, change: DoubleLaneChange, handed: TakeOver, name: str) -> None:
+        self.began: float | None = None  # s after take-over
+        self._change: DoubleLaneChange | None = change
+        self._begin = 0.0  # position along the path [m]
+        free = handed.lanes_left if change.side > 0 else handed.lanes_right
+        if free < 1:
+            side = "left" if change.side > 0 else "right"
+            raise UserError(
+                f'vehicle "{name}": param double_lane_change.direction: found "{side}", but there is no lane on '
+                "that side; accepted is the other direction or another departLane."
+            )
+
+    def plan(self, ego: Ego, intent: Intent, others: Others, lanes: Lanes) -> None:
+        """Decide after a step; SUMO's own wishes are not followed."""
+        del intent
+        if self._change is None:
+            return
+        if self.began is None:
+            self._try_to_begin(ego, self._change, others, lanes)
+        else:
+            self._go_on(ego, self._change)
+
+    def _try_to_begin(self, ego: Ego, change: DoubleLaneChange, others: Others, lanes: Lanes) -> None:
+        if ego.position < change.start:
+            return
+        if path_length(ego.base) - ego.state.position < change.length + 50.0:
+            if ego.maneuver == WAITING:
+                lanes.ask_for_room(ego.name, 0)
+            ego.enter("keep lane", "no free gap before the end of the road: double lane change given up", "WARN")
+            self._change = None
+            return
+        if not maneuver.gap_is_free(change, others, ego.speed, ego.vehicle.length, ego.lane_width):
+            if ego.maneuver != WAITING:
+                lanes.ask_for_room(ego.name, change.side)
+            ego.enter(WAITING, "double lane change wanted, waiting for a gap")
+            return
+        if ego.maneuver == WAITING:
+            lanes.ask_for_room(ego.name, 0)
+        self._begin, self.began = ego.state.position, ego.time
+        ego.take_path(ego.base, maneuver.maneuver_path(ego.base, change, self._begin, ego.lane_width))
+        ego.enter("double lane change", f"double lane change begins at {ego.speed:.1f} m/s")
+
+    def _go_on(self, ego: Ego, change: DoubleLaneChange) -> None:
+        done = ego.state.position - self._begin
+        side = "left" if change.side > 0 else "right"
+        if done > change.length:
+            trace = ego.trace()
+            errors = trace[trace[:, AT.time] > (self.began or 0.0), AT.cross_track_error]
+            worst = np.abs(errors).max(initial=0.0)
+            ego.enter("keep lane", f"double lane change done, largest cross-track error {worst:.3f} m")
+            self._change = None
+        elif done > change.back_start - 5.0:
+            ego.enter("change right" if change.side > 0 else "change left", "back to the own lane")
+        elif done > maneuver.OUT_START - 10.0:
+            ego.enter(f"change {side}", f"out to the lane on the {side}")
+
+
+class Changing(NamedTuple):
+    """A lane change under way: side, the lane's path before it, and the position [m] where it ends."""
+
+    side: int
+    before: Path
+    end: float
+
+
+class LaneFollower:
+    """Follows the route on the lane that SUMO wishes: starts, latches, completes or abandons lane changes."""
+
+    began = None
+
+    def __init__(self, lane_changes: bool) -> None:
+        self._wanted = lane_changes
+        self._changing: Changing | None = None
+        self._last = -REST
+        self.count = 0
+
+    def plan(self, ego: Ego, intent: Intent, others: Others, lanes: Lanes) -> None:
+        """Decide after a step."""
+        if self._changing is not None:
+            self._go_on(ego, self._changing, others)
+        elif self._wanted and intent.side != 0 and ego.time - self._last >= REST and ego.speed > 1.0:
+            self._start(ego, intent.side, lanes)
+        elif path_length(ego.path) - ego.state.position < REACH:
+            self._look_further(ego, lanes)
+
+    def _start(self, ego: Ego, side: int, lanes: Lanes) -> None:
+        target = lanes.lane_path(ego.name, side)
+        if target is None:
+            return
+        before = ego.base
+        if not self._blend(ego, target, max(ego.speed * DURATION, SHORTEST)):
+            return
+        end = ego.state.position + max(ego.speed * DURATION, SHORTEST)
+        self._changing = Changing(side, before, end)
+        self.count += 1
+        word = "left" if side > 0 else "right"
+        ego.enter(f"change {word}", f"lane change {word} begins at {ego.speed:.1f} m/s")
+
+    def _blend(self, ego: Ego, target: Path, length: float) -> bool:
+        """Take the way from the present path to `target`; False where the target does not pass here."""
+        here = nearest(ego.path, ego.state.vehicle.x, ego.state.vehicle.y, ego.state.position)
+        k = int(np.argmin((target.x - here.x) ** 2 + (target.y - here.y) ** 2))
+        there = nearest(target, here.x, here.y, k * target.spacing)
+        if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
+            return False
+        ego.take_path(target, blended(target, ego.path, here.position, there.position, length))
+        return True
+
+    def _go_on(self, ego: Ego, changing: Changing, others: Others) -> None:
+        word = "left" if changing.side > 0 else "right"
+        if ego.state.position >= changing.end:
+            self._changing, self._last = None, ego.time
+            ego.enter("keep lane", f"lane change {word} done")
+        elif abs(others.own_offset) > 0.5 * ego.lane_width and _closing(ego, others):
+            length = max(ego.speed * 0.5 * DURATION, SHORTEST)
+            if self._blend(ego, changing.before, length):
+                self._changing = Changing(-changing.side, ego.base, ego.state.position + length)
+                ego.say("WARN", f"lane change {word} abandoned: the gap closes")
+
+    def _look_further(self, ego: Ego, lanes: Lanes) -> None:
+        """The path ends soon: build it anew from where SUMO has the ego, if that leads further."""
+        target = lanes.lane_path(ego.name, 0)
+        if target is None or target is ego.base:
+            return
+        self._blend(ego, target, SHORTEST)
+
+
+def _closing(ego: Ego, others: Others) -> bool:
+    """Whether somebody in the lane aimed at will be too close before the ego is across."""
+    inside = np.abs(others.offset) < 0.5 * ego.lane_width
+    gap = np.abs(others.ahead) - 0.5 * (others.length + ego.vehicle.length)
+    closing = np.where(others.ahead > 0.0, ego.speed - others.speed, others.speed - ego.speed)
+    return bool(np.any(inside & (gap - np.maximum(closing, 0.0) * PATIENCE < 1.0)))
+
+
+def planner_for(ego: Ego, handed: TakeOver) -> DoubleLaneChanger | LaneFollower:
+    """The declared double lane change of a vehicle, or SUMO's own wishes."""
+    change = maneuver.declared(handed.params, ego.name)
+    if change is not None:
+        return DoubleLaneChanger(change, handed, ego.name)
+    return LaneFollower(ego.scenario.egos.lane_changes)

@@ -1,0 +1,107 @@
+"""Starting SUMO in this process, and its own words when something is wrong."""
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+import libsumo
+
+from emran_sumo.errors import UserError
+
+SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+
+
+def scenario_options(
+    network: Path, route_files: list[Path], additional: list[Path], driver_step: float
+) -> dict[str, str]:
+    """SUMO's options for a scenario of ours.
+
+    Raises:
+        UserError: a file does not exist.
+    """
+    named = [("network", network), *(("route", f) for f in route_files), *(("additional", f) for f in additional)]
+    for kind, file in named:
+        if not file.is_file():
+            raise UserError(f"{file}: no such {kind} file.")
+    options = {
+        "net-file": str(network),
+        "route-files": ",".join(map(str, route_files)),
+        "default.action-step-length": f"{driver_step:g}",
+        "time-to-teleport": "-1",
+        "xml-validation": "never",
+    }
+    return options | ({"additional-files": ",".join(map(str, additional))} if additional else {})
+
+
+def start(options: dict[str, str], step: float, seed: int, gui: bool) -> None:
+    """Start SUMO with options that every run shares.
+
+    Ballistic integration: the plant's speed is continuous, and so is then what SUMO expects of it.
+
+    Raises:
+        UserError: with SUMO's own reason.
+    """
+    if gui and os.name == "posix" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UserError("--sumo-gui: there is no display; accepted is a session with one (DISPLAY is not set).")
+    ours = {
+        "step-length": f"{step:g}",
+        "step-method.ballistic": "true",
+        "seed": str(seed),
+        "collision.action": "warn",
+        "collision.mingap-factor": "0",
+        "collision.check-junctions": "true",
+        "no-step-log": "true",
+        "no-warnings": "true",
+        "duration-log.disable": "true",
+    }
+    command = ["sumo-gui" if gui else "sumo"]
+    for key, value in (options | ours).items():
+        command += [f"--{key}", value]
+    if gui:
+        command += ["--start", "--quit-on-end", "--delay", f"{step * 1000:g}"]
+    with messages() as read:
+        try:
+            libsumo.start(command)
+        except SUMO_ERRORS as error:
+            reason = read() or str(error)
+            raise UserError(f"SUMO cannot start with {options['net-file']}: {one_line(reason)}") from None
+
+
+def version() -> str:
+    """Version of SUMO."""
+    return libsumo.getVersion()[1].removeprefix("SUMO ")
+
+
+def one_line(text: str) -> str:
+    """SUMO's messages as one sentence."""
+    lines = [line.strip().removeprefix("Error:").strip() for line in text.splitlines()]
+    text = " ".join(line for line in lines if line and not line.startswith("Quitting"))
+    return text if text.endswith(".") else text + "."
+
+
+@contextlib.contextmanager
+def messages():
+    """Catch what SUMO writes to file descriptor 2, the only place where it tells why it cannot go on."""
+    with tempfile.TemporaryFile() as sink:
+        saved = os.dup(2)
+        os.dup2(sink.fileno(), 2)
+
+        def read() -> str:
+            sink.seek(0)
+            return sink.read().decode(errors="replace")
+
+        try:
+            yield read
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+
+
+@contextlib.contextmanager
+def told():
+    """Turn SUMO's exceptions, which cannot even be pickled, into a plain sentence."""
+    try:
+        yield
+    except SUMO_ERRORS as error:
+        raise UserError(f"SUMO stopped: {one_line(str(error))}") from None
