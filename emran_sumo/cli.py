@@ -51,13 +51,18 @@ def list_scenarios() -> None:
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="Shipped scenario, folder with a scenario.toml, or TOML file.")],
+    scenario: Annotated[str, typer.Argument(help="Shipped scenario, folder with a scenario.toml, .toml or .sumocfg.")],
     controller: Annotated[str | None, typer.Option(help="One of those that `emran-sumo list` shows.")] = None,
     seed: Annotated[
         int | None, typer.Option(help="Of the traffic: the same seed gives the same run, bit for bit.")
     ] = None,
     density: Annotated[float | None, typer.Option(help="Vehicles per km and lane.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds to drive after the take-over.")] = None,
+    ego: Annotated[list[str] | None, typer.Option(metavar="ID", help="Vehicle to drive; repeatable.")] = None,
+    ego_type: Annotated[str | None, typer.Option(metavar="TYPE", help="Drive all vehicles of this vType.")] = None,
+    penetration: Annotated[
+        str | None, typer.Option(metavar="SHARE", help="Drive this share of all passenger cars, e.g. 10%.")
+    ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Any dotted key, e.g. road.friction=0.6; repeatable."),
@@ -70,6 +75,9 @@ def run(
     sumo_gui: Annotated[bool, typer.Option("--sumo-gui", help="Watch in SUMO's own window.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer when done.")] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.")] = False,
+    baseline_native: Annotated[
+        bool, typer.Option("--baseline-native", help="Also let SUMO drive the ego, and compare.")
+    ] = False,
 ) -> None:
     """Drive one scenario: writes OUT/<scenario>/<controller>-seed<k>/ with run.rrd, trace.parquet, summary.json."""
     from emran_sumo import terminal
@@ -89,8 +97,9 @@ def run(
     with terminal.Display() as display:
         display.phase("load", 0.0, 0.0)
         from emran_sumo import drive
-        from emran_sumo.scenario import load, parse_value, values_in
+        from emran_sumo.scenario import chosen_egos, load, parse_value, values_in
 
+        overrides |= chosen_egos(ego, ego_type, penetration)
         for file in reversed(set_file or []):  # the last one wins, and flags win over all
             overrides = {**{key: (value, str(file)) for key, value in values_in(file).items()}, **overrides}
         for text in set_ or []:
@@ -101,7 +110,10 @@ def run(
         located = load(scenario, overrides)
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
         result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
+        native = drive.native(located, result, display.phase) if baseline_native else None
     _finish(result, not no_record, view)
+    if native is not None:
+        terminal.show_native(result, native)
 
 
 @app.command()

@@ -1,11 +1,13 @@
 """One run: the host loop between a world and its egos, and what it leaves in the run's folder."""
 
 import contextlib
+import json
 import math
 import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any, NamedTuple
 
@@ -26,9 +28,11 @@ from emran_sumo.scenario import Located, Scenario
 from emran_sumo.selection import Selection
 from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.flow import PERIOD, Flow
+from emran_sumo.world.native import Native, watch
 from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
+from emran_sumo.world.wake import Wake
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
@@ -94,15 +98,19 @@ class Tally:
         self.vehicles = 0
         self.crashes: set[tuple[str, str]] = set()
         self.mirror: dict[str, float] = {}
+        self.wakes: dict[str, Wake] = {}
         self.flow = Flow() if isinstance(world, SumoWorld) else None
         self._period = max(round(PERIOD / world.step), 1)
 
-    def look(self, world: World, egos: dict[str, Driven]) -> None:
-        """Count after a step."""
+    def look(self, world: World, egos: dict[str, Driven], active: tuple[str, ...]) -> None:
+        """Count after a step; `active` egos are still on the road."""
         self.vehicles += world.vehicle_count()
         for pair in world.collisions():
             if not any(name in egos for name in pair):
                 self.crashes.add((min(pair), max(pair)))
+        if self.flow is not None:
+            for name in active:
+                self.wakes.setdefault(name, Wake(name)).look()
         if self.flow is not None and self.steps % self._period == 0:
             self.flow.look()
         self.steps += 1
@@ -160,6 +168,28 @@ def run(
     _write_traces(folder, host)
     write_summary(folder / "summary.json", summary)
     return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
+
+
+def native(located: Located, result: RunResult, progress: Progress = lambda *_: None) -> Native:
+    """The same scenario and seed with SUMO driving the ego of a run, for comparison.
+
+    Raises:
+        UserError: the scenario has no SUMO, or SUMO stops.
+    """
+    scenario = located.values
+    if scenario.world == "track":
+        raise UserError("--baseline-native: the test bench has no SUMO; accepted is a scenario with traffic.")
+    name = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))["ego"]
+    with TemporaryDirectory() as folder, opening(located)(Path(folder), False) as world:
+        assert isinstance(world, SumoWorld)
+        for done in world.warm_up(scenario.warm_up):
+            progress("native", done, scenario.warm_up)
+        while name not in world.present():
+            world.advance()
+        found = watch(world, name, scenario.duration)
+    summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
+    write_summary(result.folder / "summary.json", summary | {"native": found._asdict()})
+    return found
 
 
 def _first_egos(
@@ -269,7 +299,7 @@ class Host:
         world.commit({name: ego.pose for name, ego in egos.items()})
         for name, ego in egos.items():
             self._observe(ego, rows[name], intents[name])
-        self.tally.look(world, self.all)
+        self.tally.look(world, self.all, tuple(self.active))
         if isinstance(world, SumoWorld) and not self._selection.complete(len(self.all)):
             new = _newcomers(world, self.scenario, self._selection, world.departed(), len(self.all))
             self.all |= new
@@ -358,6 +388,7 @@ def _measure(host: Host, driven: Driven) -> dict[str, dict[str, Any]]:
         "effort": metrics.effort(trace),
         "networks": metrics.networks(trace),
         "traffic": tally.flow.means() if tally.flow else {},
+        "wake": tally.wakes[ego.name].results() if ego.name in tally.wakes else {},
         "run": {
             "simulated": float(moving),
             "distance": float(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])).sum()),

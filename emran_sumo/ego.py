@@ -35,6 +35,7 @@ NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
 SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
+BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 
 
@@ -213,7 +214,10 @@ class Ego:
         center = self._center_ahead()
         offset = -(car.x - here.x) * math.sin(here.yaw) + (car.y - here.y) * math.cos(here.yaw)
         ahead = along[:, 0] - here.position - center
-        return Others(ahead, along[:, 1], traffic.speed, traffic.length, traffic.width, offset)
+        yaw = np.interp(along[:, 0], np.arange(self.base.x.size) * self.base.spacing, self.base.yaw)
+        c, s = np.abs(np.cos(traffic.yaw - yaw)), np.abs(np.sin(traffic.yaw - yaw))
+        length, width = traffic.length * c + traffic.width * s, traffic.length * s + traffic.width * c
+        return Others(ahead, along[:, 1], traffic.speed * np.cos(traffic.yaw - yaw), length, width, offset)
 
     def _center_ahead(self) -> float:
         """From the center of gravity forward to the center of the body [m]."""
@@ -225,12 +229,13 @@ class Ego:
         if others.ahead.size == 0:
             return metrics.NO_LEAD
         v = self.vehicle
-        candidates = np.flatnonzero((others.ahead > 0.0) & (np.abs(others.offset) < 3.0 * self.lane_width))
         gap = others.ahead - 0.5 * (others.length + v.length)
+        # who is beside is no lead; whether the bodies touch is another question
+        candidates = np.flatnonzero((gap > -BESIDE) & (np.abs(others.offset) < 3.0 * self.lane_width))
         best = metrics.NO_LEAD
         for k in candidates[np.argsort(gap[candidates])]:
             if abs(others.offset[k] - self._corridor(float(others.ahead[k]))) < 0.5 * (others.width[k] + v.width):
-                best = metrics.lead(float(gap[k]), self.speed, float(others.speed[k]))
+                best = metrics.lead(max(float(gap[k]), 0.0), self.speed, float(others.speed[k]))
                 break
         return best
 

@@ -216,6 +216,31 @@ def to_dict(record: Any) -> dict[str, Any]:
     return {key: to_dict(value) if hasattr(value, "_asdict") else value for key, value in record._asdict().items()}
 
 
+def chosen_egos(ids: list[str] | None, kind: str | None, share: str | None) -> dict[str, tuple[Any, str]]:
+    """The command line's choice of egos as overrides of a scenario.
+
+    Raises:
+        UserError: more than one way to choose, or a share that is none.
+    """
+    given = [name for name, value in (("--ego", ids), ("--ego-type", kind), ("--penetration", share)) if value]
+    if len(given) > 1:
+        raise UserError(f"{given[0]} and {given[1]}: accepted is one way to choose the egos.")
+    nobody = {"ego": ("", given[0])} if given else {}
+    if ids:
+        return nobody | {"egos.ids": (tuple(ids), "--ego")}
+    if kind:
+        return nobody | {"egos.type": (kind, "--ego-type")}
+    if share:
+        try:
+            value = float(share.removesuffix("%")) / (100.0 if share.endswith("%") else 1.0)
+        except ValueError:
+            value = math.nan
+        if not 0.0 < value <= 1.0:
+            raise UserError(f'--penetration: found "{share}"; accepted is a share above 0 to 1, or above 0% to 100%.')
+        return nobody | {"egos.penetration": (value, "--penetration")}
+    return {}
+
+
 def parse_value(text: str) -> object:
     """A value as TOML would read it; bare words are strings."""
     try:

@@ -11,12 +11,14 @@ from rich.table import Table
 if TYPE_CHECKING:
     from emran_sumo.drive import RunResult
     from emran_sumo.tune import Step, Tuned
+    from emran_sumo.world.native import Native
 
 _WORDS = {
     "load": "loading",
     "compile": "compiling the kernels, once per version: about half a minute",
     "warm-up": "warming up the traffic",
     "wait": "waiting for the ego to depart",
+    "native": "the same with SUMO driving",
     "drive": "driving",
 }
 _REFRESH = 0.1  # s
@@ -63,7 +65,7 @@ class Display:
             note = f"{done:5.1f} / {total:g} s, {done / (now - self._began):.0f} x real time"
         elif name == "wait":
             note = f"{done:5.1f} s"
-        elif name == "warm-up":
+        elif name in ("warm-up", "native"):
             note = f"{done:5.1f} / {total:g} s"
         assert self._task is not None
         self._progress.update(self._task, completed=done, note=note)
@@ -160,6 +162,22 @@ def show(result: "RunResult", recorded: bool) -> None:
     console.print(f"\n{_shown(result.folder)}/  {'  '.join(files)}", highlight=False, soft_wrap=True)
     if recorded:
         console.print(f"open it:  rerun {_shown(result.folder / 'run.rrd')}", highlight=False, soft_wrap=True)
+
+
+def show_native(result: "RunResult", native: "Native") -> None:
+    """Print the ego beside SUMO's own driving of the same vehicle."""
+    run, wake = result.metrics["run"], result.metrics["wake"]
+    table = Table("", "ego", "SUMO", box=None, header_style="dim", pad_edge=False, title="beside SUMO's own driver")
+    table.add_row("ended", result.ended, native.ended)
+    rows = (
+        ("time", run["simulated"], native.time, "s"),
+        ("distance", run["distance"], native.distance, "m"),
+        ("hardest braking of a follower", wake["follower_decel_max"], native.wake["follower_decel_max"], "m/s²"),
+        ("delay of the followers", wake["follower_delay"], native.wake["follower_delay"], "s"),
+    )
+    for name, ours, theirs, unit in rows:
+        table.add_row(name, f"{ours:.1f} {unit}", f"{theirs:.1f} {unit}")
+    Console().print("", table)
 
 
 def _shown(path: Path) -> str:

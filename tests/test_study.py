@@ -327,65 +327,75 @@ def test_the_worst_runs_keep_a_recording(small):
             assert (folder / row.recording).read_bytes()[:4] == b"RRF2"
 
 
-def kill_at_random(process, folder, rng, workers_only):
-    """Kill -9 the coordinator, or one of its workers, after a random moment."""
-    time.sleep(float(rng.uniform(0.3, 2.5)))
-    if not workers_only:
-        process.kill()
-        return
+def counts_of(folder):
+    try:
+        with Store(folder) as store:
+            return store.counts()
+    except UserError:  # not begun yet
+        return Counts(0, 0, 0)
+
+
+def wait_for(folder, ended):
+    """Wait until so many runs of a study have ended."""
+    until = time.monotonic() + 120
+    while sum(counts_of(folder)[1:]) < ended:
+        assert time.monotonic() < until, "the study does not go on"
+        time.sleep(0.01)
+
+
+def workers_of(process):
     listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(process.pid)], capture_output=True, text=True)
-    workers = [int(line.split()[0]) for line in listed.stdout.splitlines() if "spawn_main" in line]
-    if workers:
-        os.kill(int(rng.choice(workers)), signal.SIGKILL)
+    return [int(line.split()[0]) for line in listed.stdout.splitlines() if "spawn_main" in line]
 
 
 def disturbed_and_undisturbed(tmp_path, seeds, kills):
+    """Drive a study in peace; and once more, killing first a worker, then the coordinator at random moments."""
     words = [
         "study", "highway_dlc", "--controllers", "pid-stanley,coupled-emran", "--density", "3,6", "--seeds", seeds,
         "--set", "warm_up=1", "--set", "duration=2", "--workers", 2,
     ]  # fmt: skip
     calm = emran_sumo(*words, "--out", tmp_path / "calm")
-    assert calm.communicate()[1] is not None
-    assert calm.returncode == 0
-    rng, folder = np.random.default_rng(int(seeds)), tmp_path / "killed"
-    for round_ in range(kills):
+    errors = calm.communicate()[1]
+    assert calm.returncode == 0, errors
+    rng, folder, total = np.random.default_rng(seeds), tmp_path / "killed", 4 * seeds
+    moments = np.sort(rng.choice(np.arange(1, total - 4), 2 * kills, replace=False))  # runs that have ended by then
+    for first, second in moments.reshape(kills, 2):
         process = emran_sumo(*words, "--out", folder)
-        until = time.monotonic() + 60
-        while process.poll() is None and not (folder / FILE).exists() and time.monotonic() < until:
-            time.sleep(0.02)
-        time.sleep(3.0)  # for the processes of the pool to load their libraries
-        kill_at_random(process, folder, rng, workers_only=True)
-        kill_at_random(process, folder, rng, workers_only=False)
+        wait_for(folder, first)
+        time.sleep(float(rng.uniform(0.0, 0.1)))
+        os.kill(int(rng.choice(workers_of(process))), signal.SIGKILL)
+        wait_for(folder, second)
+        process.kill()
         process.communicate()
-        if round_ == 0:
-            assert process.returncode == -signal.SIGKILL
+        assert process.returncode == -signal.SIGKILL
+        assert second <= sum(counts_of(folder)[1:]) < total
     last = emran_sumo(*words, "--out", folder, "--retry-failed")
-    _, errors = last.communicate()
+    errors = last.communicate()[1]
     assert last.returncode == 0, errors
+    assert counts_of(folder) == Counts(total, total, 0)
     assert rows_of(folder) == rows_of(tmp_path / "calm")
     for name in ("results.parquet", "results.csv"):
         assert (folder / name).read_bytes() == (tmp_path / "calm" / name).read_bytes()
 
 
 def test_killed_workers_and_coordinators_change_no_bit_of_a_study(tmp_path):
-    disturbed_and_undisturbed(tmp_path, "3", kills=1)
+    disturbed_and_undisturbed(tmp_path, 3, kills=1)
 
 
 @pytest.mark.slow
 def test_killed_workers_and_coordinators_change_no_bit_of_a_study_of_60_runs(tmp_path):
-    disturbed_and_undisturbed(tmp_path, "15", kills=4)
+    disturbed_and_undisturbed(tmp_path, 15, kills=4)
 
 
 def test_a_killed_coordinator_leaves_no_process_behind(tmp_path):
     process = emran_sumo(
         "study", "track_dlc", "--set", "duration=80000", "--seeds", 2, "--workers", 2, "--out", tmp_path / "s"
     )
-    workers: list[str] = []
+    workers: list[int] = []
     until = time.monotonic() + 60
     while len(workers) < 2 and time.monotonic() < until:
         time.sleep(0.1)
-        listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(process.pid)], capture_output=True, text=True)
-        workers = [line.split()[0] for line in listed.stdout.splitlines() if "spawn_main" in line]
+        workers = workers_of(process)
     assert len(workers) == 2
     time.sleep(2.0)  # until they watch their parent
     process.kill()
@@ -400,16 +410,7 @@ def test_a_killed_coordinator_leaves_no_process_behind(tmp_path):
 def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path, number, code):
     words = ["study", "track_dlc", "--set", "duration=1", "--seeds", 40, "--workers", 1, "--out", tmp_path / "s"]
     process = emran_sumo(*words)
-    until = time.monotonic() + 60
-    done = 0
-    while done < 2 and time.monotonic() < until:
-        time.sleep(0.02)
-        if (tmp_path / "s" / FILE).exists():
-            try:
-                with Store(tmp_path / "s") as store:
-                    done = store.counts().done
-            except UserError:
-                continue
+    wait_for(tmp_path / "s", 2)
     process.send_signal(number)
     _, errors = process.communicate()
     assert process.returncode == code, errors

@@ -81,7 +81,7 @@ def _drive(scenario: Scenario, periods: int, calls: int) -> tuple[np.ndarray, in
     nets, seconds, most = blank_networks(scenario.control), np.zeros(calls), 0
     size = periods // calls
     speeds, accels, noise = np.full(size + 1, speed), np.zeros(size), np.zeros((size, CHANNELS))
-    trace, following = new_trace(size), References(path, followed, speeds, accels, noise)
+    trace, following = new_trace(size), References(path, followed, speeds, accels, noise, 0.0)
     control, disturbance, friction = scenario.control, scenario.disturbance, scenario.road.friction
     gc.disable()
     try:

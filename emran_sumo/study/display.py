@@ -12,7 +12,7 @@ from emran_sumo.study.sizing import Size
 from emran_sumo.study.store import Counts, Store, is_running
 
 _WORDS = {
-    "starting": "starting (the first time compiles the kernels)",
+    "compiling": "compiling the kernels, once per version: about half a minute",
     "driving": "driving",
     "recording": "driving again, with recording",
 }

@@ -135,7 +135,7 @@ class _Session:
             return
         shutil.rmtree(scratch_folder(self.scratch), ignore_errors=True)  # of a session that was killed
         with stoppable():
-            pool = open_pool(settings, self.store.folder / "workers.log", self.first, lambda: self._say("starting"))
+            pool = open_pool(settings, self.store.folder / "workers.log", self.first, lambda: self._say("compiling"))
             try:
                 self._say("driving")
                 for outcome, tries in outcomes(pool, (self._task(run) for run in waiting)):
@@ -200,7 +200,6 @@ def automatic_timeout(located: Located) -> float:
 
 def open_pool(settings: Settings, log: Path, first: Located, told: Callable[[], None]) -> Pool:
     """The cluster, or processes of this machine with their kernels compiled once, here."""
-    told()
     if settings.dask:
         from emran_sumo.study.cluster import ClusterPool
 
@@ -210,6 +209,7 @@ def open_pool(settings: Settings, log: Path, first: Located, told: Callable[[], 
     if not kernels.compiled_before():
         from emran_sumo import drive
 
+        told()
         drive.warm_kernels(first.values)
     return LocalPool(settings.processes(), log)
 

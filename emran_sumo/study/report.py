@@ -87,8 +87,8 @@ def _differences(cut: Slice) -> str:
             body.append(f"<tr><th>{escape(metric.title)} <small>({escape(metric.unit)})</small></th>{cells}</tr>")
     names = ", ".join(escape(str(name)) for name in others)
     return (
-        f"<table><caption>{names} minus {escape(str(first))}: mean difference and 95 % interval; change of the mean; pairs in which "
-        f"it is lower; p (Wilcoxon, Holm)</caption><thead><tr><th></th>{head}</tr></thead>"
+        f"<table><caption>{names} minus {escape(str(first))}: mean difference and 95 % interval; pairs in which it "
+        f"is lower; change of the mean; p (Wilcoxon, Holm)</caption><thead><tr><th></th>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table>"
     )
 

@@ -46,7 +46,8 @@ class Others(NamedTuple):
     """Traffic seen from the lane that an ego follows or changes to.
 
     ahead: position of the center of each body ahead of the ego's center [m], negative behind; offset: lateral, from the
-    lane's center [m], left positive; speed [m/s]; length, width [m]; arrays (n,). own_offset: of the ego itself [m].
+    lane's center [m], left positive; speed [m/s]; length, width: extent of each body along and across the lane, however
+    it is turned [m]; arrays (n,). own_offset: of the ego itself [m].
     """
 
     ahead: np.ndarray
