@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from emran_sumo import cli_study
-from emran_sumo.errors import UserError
+from emran_sumo.errors import Interrupted, UserError
 
 if TYPE_CHECKING:
     from emran_sumo.drive import RunResult
@@ -206,7 +206,9 @@ def main() -> None:
         code = 130
     except Exception as error:
         _click_error(error)
-    if code == 130:
+    except Interrupted as error:
+        code = 128 + error.args[0]
+    if code in (130, 143):
         print("emran-sumo: interrupted before the drive began; nothing was recorded.", file=sys.stderr)
     raise SystemExit(code)
 

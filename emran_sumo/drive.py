@@ -15,7 +15,7 @@ import numpy as np
 
 from emran_sumo import metrics
 from emran_sumo.ego import COLUMNS, UNITS, Ego, fitted, learning_state
-from emran_sumo.errors import UserError
+from emran_sumo.errors import Interrupted, UserError
 from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
 from emran_sumo.manifest import manifest, prepare, properties, write_summary
 from emran_sumo.opening import World, opening
@@ -29,6 +29,7 @@ from emran_sumo.selection import Selection
 from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.flow import PERIOD, Flow
 from emran_sumo.world.native import Native, watch
+from emran_sumo.world.records import NOBODY
 from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
@@ -36,6 +37,7 @@ from emran_sumo.world.wake import Wake
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
+OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
 WAIT_FOR_DEPARTURE = 3600.0  # s of simulated time that an ego may still need to appear
 
 
@@ -63,6 +65,11 @@ class Stop:
         if self.signal:
             raise KeyboardInterrupt
         self.signal = number
+
+    def check(self) -> None:
+        """Break off while there is nothing to write yet."""
+        if self.signal:
+            raise Interrupted(self.signal)
 
     @property
     def words(self) -> str:
@@ -152,8 +159,7 @@ def run(
     with open_world(folder, gui) as world, _stoppable() as stop:
         for done in world.warm_up(scenario.warm_up):
             progress("warm-up", done, scenario.warm_up)
-            if stop.signal:
-                raise KeyboardInterrupt
+            stop.check()
         selection = Selection(scenario)
         egos = _first_egos(world, located, selection, stop, progress)
         told = manifest(located, command)
@@ -185,8 +191,10 @@ def native(located: Located, result: RunResult, progress: Progress = lambda *_: 
         for done in world.warm_up(scenario.warm_up):
             progress("native", done, scenario.warm_up)
         while name not in world.present():
+            if world.expected() == 0 or world.time > world.end:
+                raise UserError(f'--baseline-native: vehicle "{name}" did not depart where SUMO drives it.')
             world.advance()
-        found = watch(world, name, scenario.duration)
+        found = watch(world, name, min(scenario.duration, world.end - world.time))
     summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
     write_summary(result.folder / "summary.json", summary | {"native": found._asdict()})
     return found
@@ -199,18 +207,18 @@ def _first_egos(
     scenario = located.values
     if isinstance(world, TrackWorld):
         return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
-    candidates, end = world.present(), world.time + WAIT_FOR_DEPARTURE
+    candidates, end = world.present(), min(world.time + WAIT_FOR_DEPARTURE, world.end)
     while True:
         egos = _newcomers(world, scenario, selection, candidates, 0)
         if egos:
             return egos
-        if stop.signal:
-            raise KeyboardInterrupt
+        stop.check()
         if world.expected() == 0 or world.time > end:
             said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
             raise UserError(
-                f"ego: {selection.words()} of {_sources(located)} was not on the road when the warm-up ended or within "
-                f"{WAIT_FOR_DEPARTURE:g} s after it; accepted is one that has departed by then and not arrived.{said}"
+                f"ego: {selection.words()} of {_sources(located)} was not on the road when the warm-up ended or until "
+                f"{world.time:g} s; accepted is one that has departed by then and not arrived."
+                f"{selection.others()}{said}"
             )
         progress("wait", world.time, 0.0)
         world.advance()
@@ -228,7 +236,11 @@ def _newcomers(
 ) -> dict[str, Driven]:
     """Take over those of the candidates that are to be driven; `count` egos exist already."""
     found: dict[str, Driven] = {}
-    for name in candidates:
+    for name in (*candidates, *selection.waiting):
+        if not world.lane_of(name):  # it departs from a parking area
+            selection.waiting[name] = None
+            continue
+        selection.waiting.pop(name, None)
         if selection.chooses(world, name):
             length, width, _ = world.size(name)
             found[name] = _take(world, name, scenario, fitted(scenario.vehicle, length, width), count + len(found))
@@ -239,7 +251,8 @@ def _take(world: World, name: str, scenario: Scenario, vehicle, index: int) -> D
     front = vehicle.front_axle + vehicle.front_overhang
     handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
     ego = Ego(name, scenario, vehicle, handed, world.time, index)
-    return Driven(ego, planner_for(ego, handed))
+    room = world.room if isinstance(world, SumoWorld) else lambda _: math.inf
+    return Driven(ego, planner_for(ego, handed, room))
 
 
 class Host:
@@ -262,19 +275,24 @@ class Host:
         self.outcomes: dict[str, Outcome] = {}
         self.tally = Tally(world)
         self.wall = 0.0
+        self._off_road: dict[str, int] = {}  # steps in a row
         self._stop, self._progress = stop, progress
 
     def drive(self) -> None:
         """Drive until every ego has ended, or the duration."""
         began = time.perf_counter()
-        steps = max(round(self.scenario.duration / self.world.step), 1)
+        left = self.world.end - self.world.time if isinstance(self.world, SumoWorld) else math.inf
+        duration = min(self.scenario.duration, left)
+        steps = max(round(duration / self.world.step), 1)
         for done in range(1, steps + 1):
             self._step()
-            self._progress("drive", done * self.world.step, self.scenario.duration)
+            self._progress("drive", done * self.world.step, duration)
             if self._stop.signal or self._is_over():
                 break
         for name, driven in self.active.items():
             reason = f"drove {driven.ego.time:g} s as planned"
+            if duration < self.scenario.duration:
+                reason = f"drove {driven.ego.time:g} s, to the configuration's own end"
             ended = Outcome("finished", reason)
             if self._stop.signal:
                 ended = Outcome("interrupted", f"{self._stop.words} after {driven.ego.time:.1f} s")
@@ -308,16 +326,19 @@ class Host:
     def _observe(self, ego: Ego, rows: np.ndarray, intent) -> None:
         world, name = self.world, ego.name
         error = world.mirror_error(name, ego.pose)
-        self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         lane = world.lane_of(name)
-        traffic = world.neighbors(name) if lane else None
+        self._off_road[name] = 0 if lane else self._off_road.get(name, 0) + 1
+        if lane:
+            self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
+        traffic = world.neighbors(name) if lane else NOBODY
         before = ego.frames[-1][-1] if ego.frames else None
-        if traffic is not None:
-            others = ego.observe(traffic, error, rows)
+        others = ego.observe(traffic, error if lane else math.nan, rows)
         outcome = self._outcome(ego, error, lane)
-        if outcome is None and traffic is not None:
+        if outcome is None and lane:
+            if isinstance(world, SumoWorld) and world.rerouted(name):
+                self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
-        if self.recorder is not None and name == self.shown and traffic is not None:
+        if self.recorder is not None and name == self.shown:
             self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
             _tell(self.recorder, ego, before)
         if outcome is not None:
@@ -337,12 +358,25 @@ class Host:
             )
         if ego.collided:
             return Outcome("collision", f"collided with {', '.join(sorted(ego.collided))} {after}")
-        if lane and (self.world.arrived(ego.name) or ego.status == PATH_ENDED or ego.path_ended):
+        where = f"{after} at ({car.x:.1f}, {car.y:.1f}) m"
+        if not lane and self._off_road[ego.name] * self.world.step > OFF_ROAD_MOST:
+            return Outcome("lost", f"SUMO lost the ego {where}: it is off the road")
+        if not lane:
+            return None
+        if self.world.arrived(ego.name):
             return Outcome("arrived", f"reached the end of its route {after}")
-        if not lane or mirror_error > MIRROR_TOLERANCE:
-            where = "it is off the road" if not lane else f"its copy is {mirror_error:.3f} m away"
-            return Outcome("lost", f"SUMO lost the ego {after} at ({car.x:.1f}, {car.y:.1f}) m: {where}")
+        if ego.status == PATH_ENDED or ego.path_ended:
+            return self._path_ended(ego, where)
+        if mirror_error > MIRROR_TOLERANCE:
+            return Outcome("lost", f"SUMO lost the ego {where}: its copy is {mirror_error:.3f} m away")
         return None
+
+    def _path_ended(self, ego: Ego, where: str) -> Outcome:
+        """The path is used up: on the last edge that is the arrival, elsewhere the lane leads nowhere."""
+        world = self.world
+        if isinstance(world, TrackWorld) or world.on_last_edge(ego.name):
+            return Outcome("arrived", f"reached the end of its route after {ego.time:.1f} s")
+        return Outcome("lost", f"its lane ended before its route did {where}")
 
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
@@ -362,7 +396,8 @@ def _summary(host: Host, told: dict[str, Any]) -> dict[str, Any]:
     summary: dict[str, Any] = {"ended": shown.ended, "reason": shown.reason, "metrics": found[host.shown]}
     if len(host.all) > 1:
         summary["egos"] = {name: {**host.outcomes[name]._asdict(), "metrics": found[name]} for name in host.all}
-    return summary | {"ego": host.shown, "manifest": told}
+    notes = host.world.notes if isinstance(host.world, SumoWorld) else ()
+    return summary | {"ego": host.shown, "notes": list(notes), "manifest": told}
 
 
 def _measure(host: Host, driven: Driven) -> dict[str, dict[str, Any]]:

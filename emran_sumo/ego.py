@@ -36,6 +36,8 @@ SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
+CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
+TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 
 
@@ -80,8 +82,13 @@ class Ego:
         pose = handed.pose
         self.base = self.path = self.driven = handed.path
         self._origin = 0.0
+        guess = _first_guess(handed.path, pose)
+        # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
+        cap = float(interpolate(_caps(handed.path, scenario), handed.path, guess))
+        if pose.speed > TOO_FAST * cap:
+            pose = pose._replace(speed=cap)
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
-        self.state = start(vehicle, car, _first_guess(handed.path, pose), scenario.longitudinal.feedforward)
+        self.state = start(vehicle, car, guess, scenario.longitudinal.feedforward)
         self.take_path(handed.path, handed.path)
         self.route_offset = handed.route_position - self.state.position
         self.networks = blank_networks(scenario.control)
@@ -102,6 +109,8 @@ class Ego:
         self._shares = np.arange(self._periods + 1) / self._periods
         self._disturbance = drawn(scenario.disturbance, scenario.seed)
         self._noise = noise_source(scenario.seed, index)
+        if pose.speed < handed.pose.speed:
+            self.say("WARN", f"starts at {pose.speed:.1f} m/s in place of {handed.pose.speed:.1f}: a bend is ahead")
 
     @property
     def pose(self) -> Pose:
@@ -141,9 +150,7 @@ class Ego:
         position = nearest(self.driven, car.x, car.y, guess).position
         self._origin += before - position
         self.state = self.state._replace(position=position)
-        road = self.scenario.road
-        accel = min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81)
-        self._cap = speed_cap(base, accel, road.curve_decel)
+        self._cap = _caps(base, self.scenario)
 
     def follow(self, intent: Intent) -> None:
         """Take over what the world wants for this step: the cruise reference."""
@@ -173,7 +180,8 @@ class Ego:
         """The profile within the step, where the world knows it, or a straight line to the wished speed."""
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
-            end = min(wanted.speed, self._curve_speed())
+            most = CURVE_BRAKING * self.scenario.rates.sumo_step
+            end = min(wanted.speed, max(self._curve_speed(), self._speed_reference - most))
             rise = end - self._speed_reference
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
@@ -297,6 +305,12 @@ class Ego:
                         text = f"{net} network: neuron {what}, {count} {plural}"
                         self.events.append(Event(float(row[AT.time]), "DEBUG", text))
             last = row
+
+
+def _caps(path: Path, scenario: Scenario) -> np.ndarray:
+    """Speeds (n,) [m/s] that the bends of a path allow."""
+    road = scenario.road
+    return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
 
 
 def _first_guess(path: Path, pose: Pose) -> float:

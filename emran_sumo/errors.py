@@ -5,6 +5,10 @@ class UserError(Exception):
     """What was found where, and what is accepted; the command line prints it and exits with code 2."""
 
 
+class Interrupted(BaseException):
+    """A signal came before a run began to drive; its number is the argument."""
+
+
 def nearest_name(name: str, known: list[str], listed: str = "") -> str:
     """`Did you mean "..."?` for a misspelled name, or else the known ones, or `listed` in their place."""
     import difflib

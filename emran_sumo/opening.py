@@ -1,6 +1,7 @@
 """Opening the world of a scenario: its files checked first, then SUMO, a user's configuration, or the test bench."""
 
 import gzip
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -32,8 +33,14 @@ def opening(located: Located) -> Callable[[Path, bool], World]:
         config = read_config(located.folder / scenario.config)
 
         def open_config(folder: Path, gui: bool) -> SumoWorld:
-            options = redirected(config, folder) | {"default.action-step-length": f"{rates.driver_step:g}"}
-            return SumoWorld(options, rates.sumo_step, scenario.seed, scenario.road.speed_limit, gui)
+            options = {"default.action-step-length": f"{rates.driver_step:g}"} | redirected(config, folder)
+            world = SumoWorld(options, rates.sumo_step, scenario.seed, scenario.road.speed_limit, gui)
+            world.end = config.end
+            own = config.step if config.step is not None else 1.0
+            if not math.isclose(own, rates.sumo_step):
+                world.notes += (f"SUMO steps of {rates.sumo_step:g} s in place of the configuration's {own:g} s",)
+            world.notes += config.notes
+            return world
 
         return open_config
     network, routes = _files(located)

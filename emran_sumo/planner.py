@@ -1,5 +1,7 @@
 """Where the ego goes: along its lane and its route, with the lane changes that SUMO wishes or the vehicle declares."""
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -16,6 +18,10 @@ from emran_sumo.world.records import Intent, Others, TakeOver
 WAITING = "waiting for a gap"
 DURATION = 4.0  # s of a lane change
 SHORTEST = 20.0  # m of a lane change
+TIGHTEST = 10.0  # m of a lane change where the lane ends
+SPARE = 8.0  # m of the lane that are left behind it
+SLOW = 1.0  # m/s
+AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
 PATIENCE = 2.0  # s ahead that a gap must last until the ego is across
 REACH = 120.0  # m of path that must lie ahead, else it is built anew
@@ -57,6 +63,10 @@ class DoubleLaneChanger:
             self._try_to_begin(ego, self._change, others, lanes)
         else:
             self._go_on(ego, self._change)
+
+    def reroute(self, ego: Ego, lanes: Lanes) -> None:
+        """The maneuver's road stays as it was planned."""
+        del ego, lanes
 
     def _try_to_begin(self, ego: Ego, change: DoubleLaneChange, others: Others, lanes: Lanes) -> None:
         if ego.position < change.start:
@@ -106,8 +116,9 @@ class LaneFollower:
 
     began = None
 
-    def __init__(self, lane_changes: bool) -> None:
+    def __init__(self, lane_changes: bool, room: Callable[[str], float]) -> None:
         self._wanted = lane_changes
+        self._room = room
         self._changing: Changing | None = None
         self._last = -REST
         self.count = 0
@@ -116,20 +127,21 @@ class LaneFollower:
         """Decide after a step."""
         if self._changing is not None:
             self._go_on(ego, self._changing, others)
-        elif self._wanted and intent.side != 0 and ego.time - self._last >= REST and ego.speed > 1.0:
+        elif self._wanted and intent.side != 0 and ego.time - self._last >= REST:
             self._start(ego, intent.side, lanes)
         elif path_length(ego.path) - ego.state.position < REACH:
             self._look_further(ego, lanes)
 
     def _start(self, ego: Ego, side: int, lanes: Lanes) -> None:
+        room = self._room(ego.name)
         target = lanes.lane_path(ego.name, side)
-        if target is None:
+        if target is None or (ego.speed < SLOW and room > AT_THE_END):
+            return  # in a queue only a change that the route needs cannot wait
+        before, length = ego.base, max(ego.speed * DURATION, SHORTEST)
+        length = min(length, max(room - SPARE, TIGHTEST))
+        if not self._blend(ego, target, length):
             return
-        before = ego.base
-        if not self._blend(ego, target, max(ego.speed * DURATION, SHORTEST)):
-            return
-        end = ego.state.position + max(ego.speed * DURATION, SHORTEST)
-        self._changing = Changing(side, before, end)
+        self._changing = Changing(side, before, ego.state.position + length)
         self.count += 1
         word = "left" if side > 0 else "right"
         ego.enter(f"change {word}", f"lane change {word} begins at {ego.speed:.1f} m/s")
@@ -155,6 +167,14 @@ class LaneFollower:
                 self._changing = Changing(-changing.side, ego.base, ego.state.position + length)
                 ego.say("WARN", f"lane change {word} abandoned: the gap closes")
 
+    def reroute(self, ego: Ego, lanes: Lanes) -> None:
+        """The route has changed: follow the new one from here."""
+        target = lanes.lane_path(ego.name, 0)
+        if target is not None and target is not ego.base and self._blend(ego, target, SHORTEST):
+            self._changing = None
+            ego.maneuver = "keep lane"
+            ego.say("INFO", "the route has changed")
+
     def _look_further(self, ego: Ego, lanes: Lanes) -> None:
         """The path ends soon: build it anew from where SUMO has the ego, if that leads further."""
         target = lanes.lane_path(ego.name, 0)
@@ -171,9 +191,14 @@ def _closing(ego: Ego, others: Others) -> bool:
     return bool(np.any(inside & (gap - np.maximum(closing, 0.0) * PATIENCE < 1.0)))
 
 
-def planner_for(ego: Ego, handed: TakeOver) -> DoubleLaneChanger | LaneFollower:
-    """The declared double lane change of a vehicle, or SUMO's own wishes."""
+def planner_for(
+    ego: Ego, handed: TakeOver, room: Callable[[str], float] = lambda _: math.inf
+) -> DoubleLaneChanger | LaneFollower:
+    """The declared double lane change of a vehicle, or SUMO's own wishes.
+
+    room: how far an ego can drive without changing the lane [m].
+    """
     change = maneuver.declared(handed.params, ego.name)
     if change is not None:
         return DoubleLaneChanger(change, handed, ego.name)
-    return LaneFollower(ego.scenario.egos.lane_changes)
+    return LaneFollower(ego.scenario.egos.lane_changes, room)

@@ -46,7 +46,11 @@ def _pair(group: str, name: str, values: dict[str, float], key: str, unit: str, 
 def _neurons(name: str, nets: dict[str, Any]) -> Row:
     share = f"{100.0 * nets[f'learned_share_{name}']:.0f} % of samples learned"
     end, most = nets[f"neurons_{name}_end"], nets[f"neurons_{name}_max"]
-    return Row("networks", f"{name} network", f"{end} neurons at the end, {share}", f"{most} neurons")
+    return Row("networks", f"{name} network", f"{_count(end)} at the end, {share}", _count(most))
+
+
+def _count(neurons: int) -> str:
+    return f"{neurons} neuron" if neurons == 1 else f"{neurons} neurons"
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:

@@ -18,6 +18,8 @@ class Selection:
         self._seed = scenario.seed
         self.ids = (scenario.ego,) if scenario.ego else scenario.egos.ids
         self._found_first = False
+        self._groups: set[str] = set()
+        self.waiting: dict[str, None] = {}  # departed, but on no lane yet; in order
 
     @property
     def named(self) -> bool:
@@ -33,6 +35,7 @@ class Selection:
         if self.ids:
             return name in self.ids
         kind, group = world.kind(name)
+        self._groups.add(group)
         if self._egos.type:
             return kind == self._egos.type
         if group != "passenger":
@@ -52,6 +55,12 @@ class Selection:
         if self._egos.type:
             return f'a vehicle of type "{self._egos.type}"'
         return "a passenger car"
+
+    def others(self) -> str:
+        """What came in its place, as a sentence, or nothing."""
+        if self.ids or not self._groups:
+            return ""
+        return f" Those that came were of class {', '.join(sorted(self._groups))}; --ego takes any one by its id."
 
 
 def _share(seed: int, name: str) -> float:

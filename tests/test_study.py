@@ -26,7 +26,7 @@ from emran_sumo.study.plan import Given, Plan, Run
 from emran_sumo.study.pool import LocalPool
 from emran_sumo.study.report import write_report
 from emran_sumo.study.store import FILE, Counts, Row, Store, is_running
-from emran_sumo.study.worker import DONE, FAILED, NO_SPACE, Outcome, Task
+from emran_sumo.study.worker import DONE, FAILED, NO_SPACE, Outcome, Task, together
 
 ROOT = Path(__file__).parent.parent
 TINY = {"duration": 1.0, "track.speed": 15.0}  # half a maneuver on the test bench, some milliseconds
@@ -307,13 +307,13 @@ def test_paired_seeds_meet_identical_traffic(small):
 
 def test_a_row_is_what_a_single_run_gives_bit_for_bit(small, tmp_path):
     from emran_sumo import drive
-    from emran_sumo.study.worker import CLOCKS, scalars
 
     with Store(small[0]) as store:
         row = list(store.rows())[7]
     located = scenario.load(row.run.scenario, {key: (value, "test") for key, value in row.run.given.items()})
     result = drive.run(located, tmp_path, record=False)
-    assert {k: v for k, v in scalars(result.metrics).items() if k not in CLOCKS} == row.metrics
+    summary = json.loads((result.folder / "summary.json").read_text())
+    assert together(summary) == (row.ended, row.reason, row.metrics)
 
 
 def test_the_worst_runs_keep_a_recording(small):
@@ -406,24 +406,40 @@ def test_a_killed_coordinator_leaves_no_process_behind(tmp_path):
         time.sleep(0.1)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 130)])
-def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path, number, code):
-    words = ["study", "track_dlc", "--set", "duration=1", "--seeds", 40, "--workers", 1, "--out", tmp_path / "s"]
-    process = emran_sumo(*words)
-    wait_for(tmp_path / "s", 2)
-    process.send_signal(number)
-    _, errors = process.communicate()
-    assert process.returncode == code, errors
-    assert "the same command goes on" in errors
-    with Store(tmp_path / "s") as store:
-        counts = store.counts()
-    assert 2 <= counts.done < 40
-    assert counts.failed == 0
+def test_a_stopped_study_says_how_to_go_on_and_goes_on(tmp_path):
+    folder = tmp_path / "s"
+    words = ["study", "track_dlc", "--set", "duration=1", "--seeds", 60, "--workers", 1, "--out", folder]
+    for number, ended in ((signal.SIGTERM, 2), (signal.SIGINT, 20)):
+        process = emran_sumo(*words)
+        wait_for(folder, ended)
+        process.send_signal(number)
+        errors = process.communicate()[1]
+        assert process.returncode == 130, errors
+        assert "the same command goes on" in errors
+        counts = counts_of(folder)
+        assert ended <= counts.done < 60
+        assert counts.failed == 0
     last = emran_sumo(*words)
     last.communicate()
     assert last.returncode == 0
-    with Store(tmp_path / "s") as store:
-        assert store.counts() == Counts(40, 40, 0)
+    assert counts_of(folder) == Counts(60, 60, 0)
+
+
+def test_a_process_that_died_while_idle_costs_nothing(tmp_path):
+    run = plan.resolve(tiny((1,)))[0][0]
+    located = scenario.load(run.scenario, {key: (value, "test") for key, value in run.given.items()})
+    task = Task(run.key, run.scenario, run.given, identity.of([located]), 60.0, False, "test")
+    pool = LocalPool(1, tmp_path / "log")
+    try:
+        (first,) = execute.outcomes(pool, iter([task]))
+        pool._free[0]._process.kill()
+        pool._free[0]._process.join()
+        time.sleep(0.5)  # for the executor to notice
+        (second,) = execute.outcomes(pool, iter([task]))
+    finally:
+        pool.close()
+    assert first[0].state == second[0].state == DONE
+    assert first[0].metrics == second[0].metrics
 
 
 def test_a_crash_costs_only_its_run_and_is_tried_once_more(tmp_path):
@@ -458,13 +474,15 @@ def test_a_hanging_run_is_given_up_and_the_others_are_driven(tmp_path):
 
 
 def test_failed_runs_are_rows_with_their_error_and_are_retried_only_when_asked(tmp_path):
-    bad = tiny((1, 2), base={"ego": "nobody", "warm_up": 0.0}, name="highway_dlc", controller=("pid-stanley",))
+    bad = tiny(
+        (1, 2), base={"traffic.type": "nonsense", "warm_up": 0.0}, name="highway_dlc", controller=("pid-stanley",)
+    )
     bad = bad._replace(base={k: v for k, v in bad.base.items() if k != "track.speed"})
     folder = tmp_path / "s"
     assert execute.study(folder, bad, Settings(workers=1)) == Counts(2, 0, 2)
     with Store(folder) as store:
         rows = list(store.rows())
-    assert all("nobody" in row.error for row in rows)
+    assert all("nonsense" in row.error for row in rows)
     assert [row.attempts for row in rows] == [1, 1]
     execute.study(folder, bad, Settings(workers=1))
     execute.study(folder, bad, Settings(workers=1, retry_failed=True))
@@ -704,6 +722,25 @@ def test_every_further_factor_makes_a_slice_of_its_own():
     cuts = tables.slices(rows, {key: [] for key in rows[0].run.factors}, ["x"])
     assert [cut.fixed for cut in cuts] == [{"road.friction": 0.5}, {"road.friction": 1.0}]
     assert all((cut.x, cut.xs, cut.names) == ("traffic.density", (5.0, 30.0), ("a", "b")) for cut in cuts)
+
+
+def test_several_egos_are_one_row_of_sums_extremes_and_means():
+    def ego(ended, ttc, distance, rms):
+        metrics = {"safety": {"time_to_collision_min": ttc, "collisions": int(ended == "collision")},
+                   "run": {"distance": distance}, "tracking": {"e_rms": rms, "e_max": rms}}  # fmt: skip
+        return {"ended": ended, "reason": f"{ended} it is", "metrics": metrics}
+
+    egos = {
+        "a": ego("finished", None, 100.0, 1.0),
+        "b": ego("collision", 0.1, 50.0, 2.0),
+        "c": ego("lost", 4.0, 1.0, 6.0),
+    }
+    ended, reason, found = together({**egos["a"], "egos": egos})
+    assert (ended, reason) == ("collision", "collision it is")
+    assert found == {
+        tables.LEAST_TTC: 0.1, "safety.collisions": 1, "run.distance": 151.0, "tracking.e_rms": 3.0, "tracking.e_max": 6.0,
+        "run.egos": 3,
+    }  # fmt: skip
 
 
 # the report

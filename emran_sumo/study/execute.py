@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 from emran_sumo.errors import UserError
+from emran_sumo.opening import opening
 from emran_sumo.scenario import Located, flat, to_dict
 from emran_sumo.study import identity, plan, statistics
 from emran_sumo.study.plan import Plan, Run
@@ -56,6 +57,8 @@ def study(folder: Path, of: Plan, settings: Settings, told: Told = lambda *_: No
         KeyboardInterrupt: stopped; what is done is in the store.
     """
     runs, located = plan.resolve(of)
+    for one in {(s.values.world, *inputs_of(s)): s for s in located}.values():
+        opening(one)  # a missing file or ego is the user's mistake, not one of every run
     now = identity.of(located)
     with Store(folder, write=True) as store:
         _refuse_another(store, of, runs, located, now)
@@ -68,8 +71,14 @@ def study(folder: Path, of: Plan, settings: Settings, told: Told = lambda *_: No
         store.enroll(runs)
         if settings.retry_failed:
             store.forget_failed()
-        _Session(store, of, runs, located[0], now, told).drive(settings)
+        _Session(store, of, runs, located, now, told).drive(settings)
         return store.counts()
+
+
+def inputs_of(located: Located) -> tuple[Any, ...]:
+    """What of a scenario decides which files it opens."""
+    s = located.values
+    return located.folder, s.network, s.routes, s.additional, s.config, s.ego
 
 
 def describe(of: Plan) -> dict[str, Any]:
@@ -121,9 +130,10 @@ class _Session:
     """One stretch of work on a study."""
 
     def __init__(
-        self, store: Store, of: Plan, runs: list[Run], first: Located, now: dict[str, str], told: Told
+        self, store: Store, of: Plan, runs: list[Run], located: list[Located], now: dict[str, str], told: Told
     ) -> None:
-        self.store, self.plan, self.runs, self.first, self.identity = store, of, runs, first, now
+        self.store, self.plan, self.runs, self.first, self.identity = store, of, runs, located[0], now
+        self.limit = of.timeout or max(map(automatic_timeout, located))
         self.told = told
         self.scratch = store.manifest()["scratch"]
 
@@ -156,8 +166,7 @@ class _Session:
 
     def _task(self, run: Run, record: bool = False) -> Task:
         record = record or self.plan.record == "all"
-        limit = self.plan.timeout or automatic_timeout(self.first)
-        return Task(run.key, run.scenario, run.given, self.identity, limit, record, self.scratch)
+        return Task(run.key, run.scenario, run.given, self.identity, self.limit, record, self.scratch)
 
     def _enter(self, outcome: Outcome, tries: int) -> None:
         refuse_to_go_on(outcome, self.store.folder)
@@ -207,10 +216,10 @@ def open_pool(settings: Settings, log: Path, first: Located, told: Callable[[], 
     from emran_sumo import kernels
 
     if not kernels.compiled_before():
-        from emran_sumo import drive
+        from emran_sumo import warm
 
         told()
-        drive.warm_kernels(first.values)
+        warm.warm_kernels(first.values)
     return LocalPool(settings.processes(), log)
 
 

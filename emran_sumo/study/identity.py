@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import platform
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from importlib.metadata import version
@@ -55,7 +56,7 @@ def inputs(located: Located) -> dict[str, Path]:
             file = _file(located.folder, key, text)
             if file is not None:
                 found[text] = file
-                found |= _configured(file)
+                found |= _configured(file) if key == "config" else {}
     return found
 
 
@@ -71,13 +72,11 @@ def _file(folder: Path, key: str, text: str) -> Path | None:
 
 
 def _configured(file: Path) -> dict[str, Path]:
-    if file.suffix != ".sumocfg":
-        return {}
     try:
         values = [element.get("value", "") for element in ET.parse(file).iter()]
     except ET.ParseError:
         return {}
-    names = [name.strip() for value in values for name in value.split(",") if name.strip()]
+    names = [name for value in values for name in re.split(r"[,\s]+", value.replace("\\", "/")) if name]
     return {name: file.parent / name for name in names if (file.parent / name).is_file()}
 
 

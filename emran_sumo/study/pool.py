@@ -56,7 +56,11 @@ class _Slot:
             self.renew()
         self._runs += 1
         before = set(active_children())
-        future = self._executor.submit(drive_task, task)
+        try:
+            future = self._executor.submit(drive_task, task)
+        except BrokenProcessPool:  # it died while it had nothing to do
+            self.renew()
+            future = self._executor.submit(drive_task, task)
         self._process = next(iter(set(active_children()) - before), self._process)
         return future
 

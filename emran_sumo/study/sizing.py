@@ -44,7 +44,7 @@ def estimate(of: Plan, settings: Settings) -> Size:
         for run, here, full in zip(tried, there, located, strict=True)
     }
     now, recorded, scratch = identity.of(located), of.record != "none", "pilot"
-    limit = of.timeout or automatic_timeout(located[0])
+    limit = of.timeout or max(map(automatic_timeout, located))
     tasks = [Task(r.key, r.scenario, r.given, now, limit, recorded, scratch) for r in tried[::step]]
     with tempfile.TemporaryDirectory() as folder, stoppable():
         pool = open_pool(settings._replace(workers=1), Path(folder) / "log", located[0], lambda: None)

@@ -9,11 +9,11 @@ import numpy as np
 from scipy import stats
 
 from emran_sumo.study.store import Row, finite
+from emran_sumo.study.worker import BAD
 
 LEVEL = 0.95
 RESAMPLES = 9999
 GOOD = ("finished", "arrived")
-_WORST_FIRST = ("collision", "diverged", "lost")
 
 
 class Estimate(NamedTuple):
@@ -115,7 +115,7 @@ def worst(rows: list[Row], n: int) -> list[Row]:
     """The n worst of the driven rows: those that ended badly, then by least time to collision, then by error."""
 
     def badness(row: Row) -> tuple[int, float, float, int]:
-        rank = _WORST_FIRST.index(row.ended) if row.ended in _WORST_FIRST else len(_WORST_FIRST)
+        rank = BAD.index(row.ended) if row.ended in BAD else len(BAD)
         least = finite(row.metrics.get("safety.time_to_collision_min"))
         error = finite(row.metrics.get("tracking.cross_track_error_max"))
         least, error = (math.inf if math.isnan(least) else least), (0.0 if math.isnan(error) else error)

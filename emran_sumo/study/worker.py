@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import faulthandler
+import json
 import multiprocessing
 import os
 import shutil
@@ -12,8 +13,12 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from emran_sumo.errors import Interrupted
+
 DONE, FAILED, CHANGED, NO_SPACE, INTERRUPTED = "done", "failed", "changed", "no space", "interrupted"
 CLOCKS = ("run.real_time_factor",)  # metrics of the machine, not of the run
+BAD = ("collision", "diverged", "lost")  # ends, worst first
+_SUMS = ("safety.collisions", "run.distance", "run.simulated", "run.lane_changes")  # over several egos
 _DISK = (errno.ENOSPC, errno.EROFS, errno.EDQUOT)
 
 _one_at_a_time = threading.Lock()  # libsumo holds one simulation per process
@@ -63,7 +68,7 @@ class _Stopwatch:
         self.first = self.began = self.last = 0.0  # of the simulation, of the drive, of both
 
     def __call__(self, phase: str, _done: float, _total: float) -> None:
-        if phase in ("warm-up", "drive"):
+        if phase in ("warm-up", "wait", "drive"):
             self.last = time.perf_counter()
             self.first = self.first or self.last
             if phase == "drive":
@@ -98,7 +103,7 @@ def drive_task(task: Task) -> Outcome:
         faulthandler.dump_traceback_later(task.timeout, exit=True, file=_nowhere)
         try:
             outcome = _driven(task)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, Interrupted):
             outcome = Outcome(task.key, INTERRUPTED)
         except OSError as error:
             state = NO_SPACE if error.errno in _DISK else FAILED
@@ -127,19 +132,43 @@ def _driven(task: Task) -> Outcome:
     watch = _Stopwatch()
     try:
         result = drive.run(located, folder, record=task.record, command="study", progress=watch)
+        summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
         recording = (result.folder / "run.rrd").read_bytes() if task.record else None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     if result.ended == "interrupted":
         return Outcome(task.key, INTERRUPTED)
-    found = {name: value for name, value in scalars(result.metrics).items() if name not in CLOCKS}
+    ended, reason, found = together(summary)
     spent, driving = watch.last - watch.first, watch.last - watch.began
-    return Outcome(task.key, DONE, result.ended, result.reason, "", found, 0.0, spent, driving, recording)
+    return Outcome(task.key, DONE, ended, reason, "", found, 0.0, spent, driving, recording)
 
 
 def scratch_folder(name: str) -> Path:
     """Where the runs of a study keep their temporary files on this machine."""
     return Path(tempfile.gettempdir()) / f"emran-sumo-study-{name}"
+
+
+def together(summary: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
+    """ended, reason and metrics of a run; of several egos the worst end, sums, extremes and means over all of them."""
+    egos = list(summary.get("egos", {"": summary}).values())
+    worst = min(egos, key=lambda ego: BAD.index(ego["ended"]) if ego["ended"] in BAD else len(BAD))
+    each = [scalars(ego["metrics"]) for ego in egos]
+    found = {
+        name: _merged(name, [one[name] for one in each if one.get(name) is not None])
+        for name in dict.fromkeys(name for one in each for name in one)
+        if name not in CLOCKS
+    }
+    return worst["ended"], worst["reason"], {**found, "run.egos": len(egos)}
+
+
+def _merged(name: str, values: list[Any]) -> Any:
+    if len(values) < 2 or isinstance(values[0], str):
+        return values[0] if values else None
+    if name in _SUMS:
+        return sum(values)
+    if name.endswith("_min"):
+        return min(values)
+    return max(values) if name.endswith("_max") else sum(values) / len(values)
 
 
 def scalars(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

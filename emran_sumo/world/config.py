@@ -1,5 +1,7 @@
 """A user's .sumocfg as options of our own: files found, outputs kept in the run's folder, GUI settings left out."""
 
+import gzip
+import math
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -10,26 +12,48 @@ from emran_sumo.errors import UserError
 # options whose values are files to read, alone or as lists
 INPUTS = {
     "net-file", "route-files", "additional-files", "weight-files", "lane-weight-files", "load-state", "phemlight-path",
-    "persontrip.walk-opposite-factor", "thresholds",
+    "fcd-output.filter-edges.input-file", "device.ssm.filter-edges.input-file", "astar.all-distances",
+    "astar.landmark-distances", "pedestrian.jupedsim.wkt", "device.fcd-replay.files",
 }  # fmt: skip
+# options whose values are files to write, besides those that end in "output"
+OUTPUTS = {"netstate-dump", "person-fcd", "save-state.prefix", "save-state.files", "device.ssm.file", "device.toc.file"}
 # what only sumo-gui knows
 GUI_ONLY = {
     "gui-settings-file", "start", "quit-on-end", "delay", "breakpoints", "osg-view", "window-size", "window-pos",
     "tracker-interval", "registry-viewport", "gui-testing", "gui-testing-debug", "gui-testing.setting-output",
     "edgedata-files", "alternative-net-file", "demo", "disable-textures", "game", "game.mode", "selection-file",
-    "S", "Q", "G", "d",
+    "S", "Q", "G", "d", "g", "N", "data-files", "m",
 }  # fmt: skip
-# what a run decides itself: the steps, the connection, the seed, and what is done with collisions and teleports
+# what a run decides itself and the traffic does not feel: the connection, messages, files of its own
 OURS = {
-    "step-length", "remote-port", "num-clients", "seed", "random", "save-configuration", "save-template", "save-schema",
-    "configuration-file", "step-method.ballistic", "collision.action", "collision.mingap-factor",
-    "collision.check-junctions", "time-to-teleport", "end", "no-step-log", "no-warnings", "duration-log.disable",
-    "xml-validation", "verbose", "log", "message-log", "error-log", "output-prefix", "threads", "lateral-resolution",
-    "lanechange.duration", "scale", "duration-log.statistics", "print-options", "human-readable-time",
+    "remote-port", "num-clients", "save-configuration", "save-config", "save-template", "save-schema",
+    "configuration-file", "configuration", "collision.mingap-factor", "no-step-log", "no-warnings",
+    "duration-log.disable", "xml-validation", "xml-validation.net", "xml-validation.routes", "verbose", "log",
+    "log-file", "message-log", "error-log", "output-prefix", "duration-log.statistics", "print-options",
+    "human-readable-time", "help", "version", "save-template.commented", "no-duration-log", "step-log.period",
+    "output-suffix",
 }  # fmt: skip
-SHORT = {"n": "net-file", "r": "route-files", "a": "additional-files", "b": "begin", "e": "end"}
-
-
+# what a run decides itself and the traffic may feel: told to the user, with what holds in its place
+CHANGED = {
+    "step-method.ballistic": "always on",
+    "seed": "--seed",
+    "random": "--seed",
+    "collision.action": "warn",
+    "collision.check-junctions": "always on",
+    "lateral-resolution": "no sublanes: the ego's own lateral motion is the plant's",
+    "lanechange.duration": "0 for the others",
+    "threads": "1",
+}
+# values that are what a run does anyway
+SAME = {("step-method.ballistic", "true"), ("collision.check-junctions", "true"), ("threads", "1")}
+SHORT = {
+    "n": "net-file", "net": "net-file", "r": "route-files", "routes": "route-files", "a": "additional-files",
+    "additional": "additional-files", "b": "begin", "e": "end", "w": "weight-files", "weights": "weight-files",
+    "summary": "summary-output", "tripinfo": "tripinfo-output", "vehroutes": "vehroute-output",
+    "personroutes": "personroute-output", "personinfo": "personinfo-output", "ndump": "netstate-dump",
+    "netstate": "netstate-dump", "netstate-output": "netstate-dump", "ballistic": "step-method.ballistic",
+    "device.fcd-replay.file": "device.fcd-replay.files",
+}  # fmt: skip
 # elements of additional files that write to what their `file` or `dest` names; every other `file` is read
 WRITERS = {
     "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector", "entryExitDetector", "e3Detector", "edgeData",
@@ -38,10 +62,12 @@ WRITERS = {
 
 
 class SumoConfig(NamedTuple):
-    """options: name -> value for SUMO; begin [s]; step: the file's own step [s] or None; notes: what was left out."""
+    """options: name -> value for SUMO; begin, end [s], end inf where the file has none; step: the file's own step [s]
+    or None; notes: what was left out or is done differently."""
 
     options: dict[str, str]
     begin: float
+    end: float
     step: float | None
     notes: tuple[str, ...]
 
@@ -63,24 +89,33 @@ def read_config(file: Path) -> SumoConfig:
     if root.tag not in ("configuration", "sumoConfiguration"):
         raise UserError(f"{file}: found <{root.tag}>; accepted is a SUMO configuration (<configuration>).")
     options: dict[str, str] = {}
-    dropped: list[str] = []
-    given = {SHORT.get(leaf.tag, leaf.tag): leaf for leaf in root.iter() if _value(leaf) is not None}
-    for name, leaf in given.items():
-        value = _value(leaf) or ""
-        if name in GUI_ONLY:
-            dropped.append(name)
-        elif name not in OURS:
+    given = {SHORT.get(leaf.tag, leaf.tag): _value(leaf) for leaf in root.iter()}
+    values = {name: value for name, value in given.items() if value is not None}
+    for name, value in values.items():
+        if name not in GUI_ONLY | OURS | set(CHANGED) | {"end", "step-length"}:
             options[name] = _files(value, file.parent) if name in INPUTS else value
     if "net-file" not in options:
         raise UserError(f"{file}: net-file is missing; it names the network.")
-    notes = [f"left out, as only sumo-gui knows it: {', '.join(dropped)}"] if dropped else []
-    step = given.get("step-length")
+    end = seconds(values.get("end", "-1"), file)
     return SumoConfig(
         options,
         seconds(options.get("begin", "0"), file),
-        None if step is None else seconds(_value(step) or "1", file),
-        tuple(notes),
+        end if end > 0.0 else math.inf,
+        seconds(values["step-length"], file) if "step-length" in values else None,
+        tuple(_notes(values)),
     )
+
+
+def _notes(values: dict[str, str]) -> list[str]:
+    """What of a configuration is left out or done differently, in words."""
+    notes = []
+    gui = [name for name in values if name in GUI_ONLY]
+    if gui:
+        notes.append(f"left out, as only sumo-gui knows it: {', '.join(gui)}")
+    for name, ours in CHANGED.items():
+        if name in values and values[name] not in ("false", "0", "-1", ours) and (name, values[name]) not in SAME:
+            notes.append(f"{name} {values[name]} of the configuration is not used ({ours})")
+    return notes
 
 
 def _value(leaf: ET.Element) -> str | None:
@@ -118,29 +153,41 @@ def redirected(config: SumoConfig, folder: Path) -> dict[str, str]:
     """
     options = dict(config.options)
     for name, value in options.items():
-        if name.endswith("-output") or name in ("netstate-dump", "save-state.prefix"):
-            options[name] = str(folder.resolve() / Path(value.replace("\\", "/")).name)
+        if (name.endswith("output") or name in OUTPUTS) and value not in ("", "NUL", "nul", "/dev/null"):
+            options[name] = ",".join(str(folder.resolve() / _base(part)) for part in value.split(","))
+    if "save-state.times" in options or "save-state.period" in options:
+        options.setdefault("save-state.prefix", str(folder.resolve() / "state"))
     if "additional-files" in options:
         files = [Path(name) for name in options["additional-files"].split(",")]
         options["additional-files"] = ",".join(str(_redirected_file(file, folder)) for file in files)
     return options
 
 
+def _base(name: str) -> str:
+    """A file's name without its folder, whichever slash separates them."""
+    return name.strip().replace("\\", "/").rpartition("/")[2]
+
+
 def _redirected_file(file: Path, folder: Path) -> Path:
     try:
-        tree = ET.parse(file)
-    except (ET.ParseError, OSError):
-        return file  # compressed, or something SUMO will complain about itself
-    writers = [element for element in tree.iter() if element.tag in WRITERS]
-    if not any(element.get("file") or element.get("dest") for element in writers):
+        with (gzip.open if file.suffix == ".gz" else open)(file, "rb") as stream:
+            tree = ET.parse(stream)
+    except (ET.ParseError, OSError, EOFError):
+        return file  # something SUMO will complain about itself
+    if not any(_writes(element, key) for element in tree.iter() for key in element.attrib):
         return file
     for element in tree.iter():
         for key in ("file", "dest", "href", "imgFile", "output"):
             value = element.get(key)
             if not value or value == "NUL":
                 continue
-            out = key in ("dest", "output") or (key == "file" and element.tag in WRITERS)
-            element.set(key, Path(value.replace("\\", "/")).name if out else str((file.parent / value).resolve()))
-    copy = folder.resolve() / f"{folder.name}.{file.name}"
+            name = _base(value) if _writes(element, key) else str((file.parent / value.replace("\\", "/")).resolve())
+            element.set(key, name)
+    copy = folder.resolve() / f"{folder.name}.{file.name.removesuffix('.gz')}"
     tree.write(copy, encoding="utf-8", xml_declaration=True)
     return copy
+
+
+def _writes(element: ET.Element, key: str) -> bool:
+    """Whether the attribute names a file that SUMO writes."""
+    return key == "output" or (key in ("file", "dest") and element.tag in WRITERS)

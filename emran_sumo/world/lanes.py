@@ -16,6 +16,9 @@ JUNCTION_TOLERANCE = 0.6  # m inside junctions
 KINK = 0.6  # rad within 4 m: sharper than any lane is driven
 TIGHTEST = 6.0  # m, radius that a car can turn
 ROUNDS = 20
+SHIFT_TURN = 0.35  # rad between two lanes that go on in the same direction
+SHIFT_ACCEL = 2.0  # m/s2 across, of a lane that goes on beside its end
+SHIFT_LEAST, SHIFT_MOST = 0.4, 4.0  # m
 
 
 def joined(shapes: list[np.ndarray], tolerances: list[float] | None = None) -> np.ndarray:
@@ -25,11 +28,46 @@ def joined(shapes: list[np.ndarray], tolerances: list[float] | None = None) -> n
     the one before are left out.
     """
     given = tolerances or [LANE_TOLERANCE] * len(shapes)
+    dense = [_dense(shape) for shape in shapes]  # a tolerance ends where its lane ends
     points = np.vstack(
-        [np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(shapes, given, strict=True)]
+        [np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(dense, given, strict=True)]
     )
     distance = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate(([True], distance > 0.01))]
+
+
+def _dense(shape: np.ndarray) -> np.ndarray:
+    """The polyline with further points, no more than 2 m apart."""
+    steps = np.hypot(*np.diff(shape[:, :2], axis=0).T)
+    parts = np.maximum(np.ceil(steps / 2.0), 1).astype(int)
+    index = np.concatenate([[0.0], *(i + np.arange(1, n + 1) / n for i, n in enumerate(parts))])
+    return np.column_stack([np.interp(index, np.arange(len(shape)), column) for column in shape.T])
+
+
+def shift_between(before: np.ndarray, after: np.ndarray) -> float:
+    """Lateral distance [m], left positive, between the end of one lane and the start of the lane that follows it
+    behind a junction; 0 where the road turns there."""
+    out, on = before[-1, :2] - before[-2, :2], after[1, :2] - after[0, :2]
+    turn = abs(float(wrap(np.arctan2(on[1], on[0]) - np.arctan2(out[1], out[0]))))
+    if turn > SHIFT_TURN:
+        return 0.0
+    middle = out / max(np.hypot(*out), 1e-9) + on / max(np.hypot(*on), 1e-9)
+    across = np.array([-middle[1], middle[0]]) / np.hypot(*middle)
+    return float(across @ (after[0, :2] - before[-1, :2]))
+
+
+def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) -> np.ndarray:
+    """The points (n, 4) with as much tolerance around `place` [m] as a lateral `shift` [m] needs at `speed` [m/s].
+
+    A lane that goes on a lane's width beside its end is drawn by the network as a kink: here it is moved to like a lane
+    change. A quintic of length L and height h has the curvature 5.77 h / L^2 at the most.
+    """
+    length = np.sqrt(5.77 * abs(shift) / SHIFT_ACCEL) * speed
+    distance = np.hypot(*(points[:, :2] - place).T)
+    out = points.copy()
+    near = distance < 0.5 * max(length, 10.0)
+    out[near, 3] = np.maximum(out[near, 3], min(abs(shift), SHIFT_MOST))
+    return out
 
 
 def smooth_path(points: np.ndarray) -> Path:
@@ -47,7 +85,8 @@ def smooth_path(points: np.ndarray) -> Path:
     raw = np.column_stack([np.interp(grid, along, points[:, k]) for k in range(3)])
     tolerance = np.maximum(np.interp(grid, along, points[:, 3]), _room_for_kinks(raw))
     stiffness = (SHORTEST_WAVE / (2.0 * np.pi * grid[1])) ** 6
-    weight = np.ones(count)
+    # where much is allowed, waves are smoothed that are longer in proportion
+    weight = np.minimum((JUNCTION_TOLERANCE / np.interp(grid, along, points[:, 3])) ** 3, 1.0)
     smooth = raw
     for _ in range(ROUNDS):
         smooth = _smooth(raw, weight, stiffness)

@@ -18,7 +18,7 @@ class Piece(NamedTuple):
 
 def main_limit(network_file: Path) -> float:
     """Highest speed limit of the network [m/s]."""
-    return max(float(lane.get("speed", 0.0)) for lane in _read(network_file).iter("lane"))
+    return max((float(lane.get("speed", 0.0)) for lane in _read(network_file).iter("lane")), default=0.0)
 
 
 def main_lanes(network_file: Path, edges: Sequence[str]) -> list[tuple[Piece, ...]]:

@@ -1,5 +1,6 @@
 """Lanes as SUMO knows them: shapes, chains along a route, and what lies beside a point."""
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -7,7 +8,15 @@ import libsumo
 import numpy as np
 
 from emran_sumo.path import Path
-from emran_sumo.world.lanes import JUNCTION_TOLERANCE, LANE_TOLERANCE, joined, smooth_path
+from emran_sumo.world.lanes import (
+    JUNCTION_TOLERANCE,
+    LANE_TOLERANCE,
+    SHIFT_LEAST,
+    joined,
+    loosened,
+    shift_between,
+    smooth_path,
+)
 from emran_sumo.world.records import Lane, Road
 
 BEHIND = 30.0  # m of the lane before that a path keeps, for the rear of the car
@@ -58,8 +67,19 @@ class RoadMap:
                 self._paths.clear()
             tolerances = [JUNCTION_TOLERANCE if name.startswith(":") else LANE_TOLERANCE for name in chain]
             points = joined([self.shape(name) for name in chain], tolerances)
-            self._paths[chain] = smooth_path(_extended(points))
+            self._paths[chain] = smooth_path(_extended(self._loosened(points, chain)))
         return self._paths[chain]
+
+    def _loosened(self, points: np.ndarray, chain: tuple[str, ...]) -> np.ndarray:
+        """The points with room for lanes that go on beside their end."""
+        lanes = [name for name in chain if not name.startswith(":")]
+        for one, following in itertools.pairwise(lanes):
+            before, after = self.shape(one), self.shape(following)
+            shift = shift_between(before, after)
+            if abs(shift) > SHIFT_LEAST:
+                place = 0.5 * (before[-1, :2] + after[0, :2])
+                points = loosened(points, place, shift, libsumo.lane.getMaxSpeed(one))
+        return points
 
     def _chain(self, lane: str, route: tuple[str, ...], index: int) -> tuple[str, ...]:
         """Lane ids from the lane before `lane` to the end of the route, or as far as lanes connect."""

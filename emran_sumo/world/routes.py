@@ -112,7 +112,7 @@ def vehicle_types(declared: list[ET.Element], name: str) -> list[VehicleType]:
     """Types of the vTypeDistribution `name`, or the one vType of that name.
 
     Raises:
-        ValueError: neither is declared.
+        UserError: neither is declared, or an attribute is not a number.
     """
     for root in declared:
         for d in root.iter("vTypeDistribution"):
@@ -121,26 +121,39 @@ def vehicle_types(declared: list[ET.Element], name: str) -> list[VehicleType]:
         for t in root.iter("vType"):
             if t.get("id") == name:
                 return [_type(t)]
-    raise ValueError(f"type {name!r} is declared in none of the route files")
+    known = [t.get("id", "") for root in declared for t in (*root.iter("vTypeDistribution"), *root.iter("vType"))]
+    raise UserError(f'traffic.type: found "{name}", which no route file declares. {nearest_name(name, known)}')
 
 
 def _type(t: ET.Element) -> VehicleType:
     """Read a vType; what it leaves out takes SUMO's value for passenger cars."""
     get = t.get
+
+    def number(key: str, default: float) -> float:
+        try:
+            return float(get(key, default))
+        except ValueError:
+            raise UserError(f'vType "{get("id")}": {key}: found "{get(key)}"; accepted is a number.') from None
+
     factor = get("speedFactor", "1.0")
-    if "(" in factor:
-        numbers = [float(x) for x in factor[factor.index("(") + 1 : factor.index(")")].split(",")]
-    else:
-        numbers = [float(factor), float(get("speedDev", 0.1))]
+    try:
+        inside = factor[factor.index("(") + 1 : factor.index(")")].split(",") if "(" in factor else [factor]
+        numbers = [float(x) for x in inside]
+    except ValueError:
+        raise UserError(
+            f'vType "{get("id")}": speedFactor: found "{factor}"; accepted is a number or norm(c)(mean,deviation,...).'
+        ) from None
+    if len(numbers) < 2:
+        numbers.append(number("speedDev", 0.1))
     mean, deviation, low, high = (numbers + [0.2, 2.0][len(numbers) - 2 :])[:4]
     return VehicleType(
         id=get("id", ""),
-        probability=float(get("probability", 1.0)),
-        length=float(get("length", 5.0)),
-        min_gap=float(get("minGap", 2.5)),
-        tau=float(get("tau", 1.0)),
-        decel=float(get("decel", 4.5)),
-        max_speed=float(get("maxSpeed", 55.55)),
+        probability=number("probability", 1.0),
+        length=number("length", 5.0),
+        min_gap=number("minGap", 2.5),
+        tau=number("tau", 1.0),
+        decel=number("decel", 4.5),
+        max_speed=number("maxSpeed", 55.55),
         speed_factor=(mean, deviation, low, high),
         heavy=get("vClass", "passenger") in _HEAVY,
     )
@@ -150,13 +163,14 @@ def route_edges(declared: list[ET.Element], name: str) -> list[str]:
     """Edges of the route `name`.
 
     Raises:
-        ValueError: it is not declared.
+        UserError: it is not declared.
     """
     for root in declared:
         for route in root.iter("route"):
             if route.get("id") == name:
                 return _edges(route)
-    raise ValueError(f"route {name!r} is declared in none of the route files")
+    known = [route.get("id", "") for root in declared for route in root.iter("route")]
+    raise UserError(f'traffic: found the route "{name}", which no route file declares. {nearest_name(name, known)}')
 
 
 def _edges(route: ET.Element) -> list[str]:

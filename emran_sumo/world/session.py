@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import libsumo
 
 from emran_sumo.errors import UserError
 
+_UNKNOWN_OPTION = re.compile(r"No option with the name '([^']+)' exists")
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -34,8 +36,8 @@ def scenario_options(
     return options | ({"additional-files": ",".join(map(str, additional))} if additional else {})
 
 
-def start(options: dict[str, str], step: float, seed: int, gui: bool) -> None:
-    """Start SUMO with options that every run shares.
+def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[str, ...]:
+    """Start SUMO with options that every run shares; returns those of `options` that it does not know.
 
     Ballistic integration: the plant's speed is continuous, and so is then what SUMO expects of it.
 
@@ -55,17 +57,25 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> None:
         "no-warnings": "true",
         "duration-log.disable": "true",
     }
-    command = ["sumo-gui" if gui else "sumo"]
-    for key, value in (options | ours).items():
-        command += [f"--{key}", value]
-    if gui:
-        command += ["--start", "--quit-on-end", "--delay", f"{step * 1000:g}"]
-    with messages() as read:
-        try:
-            libsumo.start(command)
-        except SUMO_ERRORS as error:
-            reason = read() or str(error)
-            raise UserError(f"SUMO cannot start with {options['net-file']}: {one_line(reason)}") from None
+    unknown: list[str] = []
+    while True:
+        command = ["sumo-gui" if gui else "sumo"]
+        for key, value in (options | ours).items():
+            if key not in unknown:
+                command += [f"--{key}", value]
+        if gui:
+            command += ["--start", "--quit-on-end", "--delay", f"{step * 1000:g}"]
+        with messages() as read:
+            try:
+                libsumo.start(command)
+            except SUMO_ERRORS as error:
+                reason = read() or str(error)
+            else:
+                return tuple(unknown)
+        refused = _UNKNOWN_OPTION.search(reason)
+        if refused is None or refused[1] in unknown or refused[1] not in options:
+            raise UserError(f"SUMO cannot start with {options['net-file']}: {one_line(reason)}")
+        unknown.append(refused[1])
 
 
 def version() -> str:

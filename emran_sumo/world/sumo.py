@@ -24,7 +24,9 @@ KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
 LEFT, RIGHT = 2, 4  # bits of a lane change wish
-REASONS = 8 | 16 | 32 | 64  # strategic, cooperative, speed gain, keep right
+STRATEGIC = 8
+REASONS = STRATEGIC | 16 | 32 | 64  # and cooperative, speed gain, keep right
+CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
 # by leaders or followers on either side, by overlapping vehicles, by too little room or speed
 BLOCKED = 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 28
 UNKNOWN = 1 << 30
@@ -58,8 +60,11 @@ class SumoWorld:
         self._phantoms: set[str] = set()
         self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
+        self._routes: dict[str, str] = {}
         self.last_message = ""
-        session.start(options, step, seed, gui)
+        self.end = math.inf  # of the scenario [s]
+        unknown = session.start(options, step, seed, gui)
+        self.notes = (f"left out, as SUMO does not know it: {', '.join(unknown)}",) if unknown else ()
         self.map = RoadMap()
         try:
             self._limit_speed(speed_limit)
@@ -192,12 +197,45 @@ class SumoWorld:
 
     def _intent(self, ego: str) -> Intent:
         vehicle = libsumo.vehicle
+        if not self.lane_of(ego):
+            return Intent(vehicle.getSpeed(ego))
         speed = self._wish(ego)
         for side, bit in ((1, LEFT), (-1, RIGHT)):
             state = vehicle.getLaneChangeState(ego, side)[0]
-            if state != UNKNOWN and state & bit and state & REASONS and not state & BLOCKED:
+            if state == UNKNOWN or not (state & bit and state & REASONS):
+                continue
+            if not state & BLOCKED:
                 return Intent(speed, side)
+            if state & STRATEGIC and PHANTOM + ego not in self._phantoms:
+                speed = min(speed, self._speed_for_room(ego))
         return Intent(speed)
+
+    def _speed_for_room(self, ego: str) -> float:
+        """Speed [m/s] that stops the ego where a change of lane still has room: SUMO changes lanes on the spot."""
+        left = self.room(ego) - CHANGE_ROOM
+        if left < 0.0:
+            return math.inf
+        return max(libsumo.vehicle.getStopSpeed(ego, libsumo.vehicle.getSpeed(ego), left), 0.0)
+
+    def room(self, ego: str) -> float:
+        """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
+        vehicle = libsumo.vehicle
+        lane = vehicle.getLaneID(ego)
+        for found in vehicle.getBestLanes(ego):
+            if found[0] == lane:
+                return max(found[1] - vehicle.getLanePosition(ego), 0.0)
+        return 0.0
+
+    def rerouted(self, ego: str) -> bool:
+        """Whether the ego's route has changed since the last call."""
+        route = libsumo.vehicle.getRouteID(ego)
+        before, self._routes[ego] = self._routes.get(ego, route), route
+        return before != route
+
+    def on_last_edge(self, ego: str) -> bool:
+        """Whether the ego is on the last edge of its route."""
+        route = libsumo.vehicle.getRoute(ego)
+        return libsumo.vehicle.getRouteIndex(ego) == len(route) - 1
 
     def _wish(self, ego: str) -> float:
         """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
