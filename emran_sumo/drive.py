@@ -249,7 +249,11 @@ def _newcomers(
 
 def _take(world: World, name: str, scenario: Scenario, vehicle, index: int) -> Driven:
     front = vehicle.front_axle + vehicle.front_overhang
-    handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
+    if isinstance(world, SumoWorld):
+        lag = vehicle.torque_lag + scenario.rates.command_delay
+        handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes, lag)
+    else:
+        handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
     ego = Ego(name, scenario, vehicle, handed, world.time, index)
     room = world.room if isinstance(world, SumoWorld) else lambda _: math.inf
     return Driven(ego, planner_for(ego, handed, room))

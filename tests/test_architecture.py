@@ -18,6 +18,7 @@ FLOORS = (
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}
+DOORS |= {"sqlite3": "study", "dask": "study", "distributed": "study"}
 LONGEST = 400  # lines; a longer module has a second idea inside
 GRANTED: dict[Path, int] = {}  # none so far
 MODULES = sorted(file.relative_to(PACKAGE).with_suffix("") for file in PACKAGE.rglob("*.py"))

@@ -199,6 +199,14 @@ def test_the_command_of_a_run_drives_the_same_scenario(monkeypatch, tmp_path):
 # the store
 
 
+@pytest.mark.parametrize(
+    ("library", "door"), [("sqlite3", "store"), ("matplotlib", "figures"), ("distributed", "cluster")]
+)
+def test_each_foreign_library_has_one_door(library, door):
+    users = {f.stem for f in (ROOT / "emran_sumo/study").glob("*.py") if f"import {library}" in f.read_text()}
+    assert users == {door}
+
+
 def outcome(key, value=1.0):
     return Outcome(key, DONE, "finished", "", "", {"tracking.cross_track_error_rms": value}, 0.1, 0.05)
 
@@ -325,6 +333,16 @@ def test_the_worst_runs_keep_a_recording(small):
     for row in rows:
         if row.recording:
             assert (folder / row.recording).read_bytes()[:4] == b"RRF2"
+
+
+def test_a_recording_of_another_drive_is_refused(small):
+    with Store(small[0]) as store:
+        one = next(store.rows())
+    again = Outcome(one.run.key, DONE, metrics=dict(one.metrics))
+    execute.refuse_other_numbers(again, one, small[0])
+    again.metrics["run.distance"] = float(np.nextafter(again.metrics["run.distance"], np.inf))
+    with pytest.raises(UserError, match="gave other numbers when driven again"):
+        execute.refuse_other_numbers(again, one, small[0])
 
 
 def counts_of(folder):
@@ -738,8 +756,8 @@ def test_several_egos_are_one_row_of_sums_extremes_and_means():
     ended, reason, found = together({**egos["a"], "egos": egos})
     assert (ended, reason) == ("collision", "collision it is")
     assert found == {
-        tables.LEAST_TTC: 0.1, "safety.collisions": 1, "run.distance": 151.0, "tracking.e_rms": 3.0, "tracking.e_max": 6.0,
-        "run.egos": 3,
+        tables.LEAST_TTC: 0.1, "safety.collisions": 1, "run.distance": 151.0, "run.egos": 3,
+        "tracking.e_rms": 3.0, "tracking.e_max": 6.0,
     }  # fmt: skip
 
 

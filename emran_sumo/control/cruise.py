@@ -29,11 +29,11 @@ class CruiseParams(NamedTuple):
 
     feedforward: Annotated[bool, Unit("on/off")] = True
     paper_gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 1.0
-    K_1: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 5.649
+    K_1: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 2.3538
     lag: Annotated[float, Field(gt=0, le=2), Unit("s")] = 0.1
-    lead_filter: Annotated[float, Field(gt=0, le=2), Unit("s")] = 0.0601
-    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.0507
-    grade_lead: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.0755
+    lead_filter: Annotated[float, Field(gt=0, le=2), Unit("s")] = 0.038979
+    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.04378
+    grade_lead: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.044964
     observer_speed: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 4.0
     observer_grade: Annotated[float, Field(ge=0, le=90), Unit("1/s^2")] = 4.0
     accel_max: Annotated[float, Field(gt=0, le=12), Unit("m/s^2")] = 7.0

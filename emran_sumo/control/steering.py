@@ -29,20 +29,20 @@ class SteeringParams(NamedTuple):
     feedforward: Annotated[bool, Unit("on/off")] = True
     K_2: Annotated[float, Field(ge=-5, le=5), Unit("rad/m")] = 0.0
     K_3: Annotated[float, Field(ge=-5, le=5), Unit("-")] = 0.0
-    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 3.3585
-    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 1.2817
-    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0702
-    reference_ahead: Annotated[float, Field(ge=-5, le=5), Unit("m")] = 0.052
-    preview_feedforward: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0423
-    preview_feedback: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0555
-    preview_slope: Annotated[float, Field(ge=0, le=2), Unit("s per 10 m/s")] = 0.072
-    preview_window: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.0323
-    friction_estimate: Annotated[float, Field(gt=0, le=2), Unit("-")] = 0.95
+    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 3.7253
+    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 2.3275
+    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.068423
+    reference_ahead: Annotated[float, Field(ge=-5, le=5), Unit("m")] = 0.003091
+    preview_feedforward: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.024136
+    preview_feedback: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.063113
+    preview_slope: Annotated[float, Field(ge=0, le=2), Unit("s per 10 m/s")] = 0.069454
+    preview_window: Annotated[float, Field(ge=0, le=2), Unit("s")] = 3.1133e-06
+    friction_estimate: Annotated[float, Field(gt=0, le=2), Unit("-")] = 1.0
     slip_cap: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.14
     slip_limit: Annotated[float, Field(gt=0, le=2), Unit("rad")] = 0.15
     guard: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.035
     guard_decay: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 2.0
-    smoothing: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.927
+    smoothing: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.99985
     rate_exponent: Annotated[float, Field(ge=0, le=5), Unit("-")] = 2.43
     cross_track_scale: Annotated[float, Field(ge=0, le=1000), Unit("1/m")] = 5.65
     heading_scale: Annotated[float, Field(ge=0, le=1000), Unit("1/rad")] = 12.91
@@ -52,7 +52,7 @@ class SteeringParams(NamedTuple):
     cut_sigma: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.065
     cut_heading_sigma: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.01
     cut_smoothness: Annotated[float, Field(ge=0, le=1e4), Unit("m^2")] = 100.0
-    cut_max: Annotated[float, Field(ge=0, le=1), Unit("m at 10 m/s")] = 0.042
+    cut_max: Annotated[float, Field(ge=0, le=1), Unit("m at 10 m/s")] = 0.04
     emran: EmranParams = EmranParams()
 
 

@@ -1,5 +1,6 @@
 """Drive what is missing of a study: futures in, rows out; this process alone writes."""
 
+import json
 import os
 import secrets
 import shutil
@@ -152,9 +153,11 @@ class _Session:
                     self._enter(outcome, tries)
                     self._say("driving")
                 replays = self._unrecorded()
+                before = {row.run.key: row for row in replays}
                 if replays:
                     self._say("recording")
                 for outcome, _ in outcomes(pool, (self._task(row.run, record=True) for row in replays)):
+                    refuse_other_numbers(outcome, before[outcome.key], self.store.folder)
                     self._keep(outcome)
                     self._say("recording")
             finally:
@@ -264,6 +267,15 @@ def refuse_to_go_on(outcome: Outcome, folder: Path) -> None:
         )
     if outcome.state == NO_SPACE:
         raise UserError(f"{folder}: stopped, no run is lost: {outcome.error}; the same command goes on.")
+
+
+def refuse_other_numbers(outcome: Outcome, before: Row, folder: Path) -> None:
+    """Raise where a run that was driven again is not what it was."""
+    if outcome.state == DONE and json.dumps(outcome.metrics) != json.dumps(before.metrics):
+        raise UserError(
+            f"{folder}: {plan.replay(before.run)} gave other numbers when driven again; accepted are machines that "
+            "round alike for all runs of a study."
+        )
 
 
 @contextmanager

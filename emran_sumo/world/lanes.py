@@ -28,15 +28,14 @@ def joined(shapes: list[np.ndarray], tolerances: list[float] | None = None) -> n
     the one before are left out.
     """
     given = tolerances or [LANE_TOLERANCE] * len(shapes)
-    dense = [_dense(shape) for shape in shapes]  # a tolerance ends where its lane ends
     points = np.vstack(
-        [np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(dense, given, strict=True)]
+        [np.column_stack((shape, np.full(len(shape), t))) for shape, t in zip(shapes, given, strict=True)]
     )
     distance = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate(([True], distance > 0.01))]
 
 
-def _dense(shape: np.ndarray) -> np.ndarray:
+def dense(shape: np.ndarray) -> np.ndarray:
     """The polyline with further points, no more than 2 m apart."""
     steps = np.hypot(*np.diff(shape[:, :2], axis=0).T)
     parts = np.maximum(np.ceil(steps / 2.0), 1).astype(int)

@@ -12,6 +12,7 @@ from emran_sumo.world.lanes import (
     JUNCTION_TOLERANCE,
     LANE_TOLERANCE,
     SHIFT_LEAST,
+    dense,
     joined,
     loosened,
     shift_between,
@@ -66,7 +67,8 @@ class RoadMap:
             if len(self._paths) > 256:
                 self._paths.clear()
             tolerances = [JUNCTION_TOLERANCE if name.startswith(":") else LANE_TOLERANCE for name in chain]
-            points = joined([self.shape(name) for name in chain], tolerances)
+            # dense: a tolerance ends where its lane ends
+            points = joined([dense(self.shape(name)) for name in chain], tolerances)
             self._paths[chain] = smooth_path(_extended(self._loosened(points, chain)))
         return self._paths[chain]
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from emran_sumo.path import Path
 from emran_sumo.world import session
+from emran_sumo.world.braking import speed_cap
 from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
@@ -60,6 +61,7 @@ class SumoWorld:
         self._phantoms: set[str] = set()
         self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
+        self._lags: dict[str, float] = {}
         self._routes: dict[str, str] = {}
         self.last_message = ""
         self.end = math.inf  # of the scenario [s]
@@ -136,15 +138,18 @@ class SumoWorld:
         edges = libsumo.vehicle.getRoute(name)[max(libsumo.vehicle.getRouteIndex(name), 0) :]
         return sum(libsumo.lane.getLength(f"{edge}_0") for edge in edges)
 
-    def take_over(self, ego: str, front: float, width: float, lane_changes: bool = True) -> TakeOver:
+    def take_over(
+        self, ego: str, front: float, width: float, lane_changes: bool = True, brake_lag: float = 0.0
+    ) -> TakeOver:
         """Drive `ego` from outside from now on; it stays an ordinary vehicle for everybody else.
 
         Args:
             ego: id; front: from its center of gravity to the front bumper [m]; width: of its body [m].
             lane_changes: SUMO plans them; a vehicle that declares a maneuver of its own never gets any.
+            brake_lag: [s] with which its brakes answer.
         """
         vehicle = libsumo.vehicle
-        self._fronts[ego], self._widths[ego] = front, width
+        self._fronts[ego], self._widths[ego], self._lags[ego] = front, width, brake_lag
         params = {key: vehicle.getParameter(ego, key) for key in DOUBLE_LANE_CHANGE}
         params = {key: value for key, value in params.items() if value}
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
@@ -187,13 +192,15 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
+            caps = {ego: speed_cap(ego, self._lags[ego]) if self.lane_of(ego) else math.inf for ego in poses}
             for ego, pose in poses.items():
                 ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
                 self._place(ego, pose._replace(x=x, y=y))
             self._pending = True
             libsumo.simulation.executeMove()
-            return {ego: self._intent(ego) for ego in poses}
+            intents = {ego: self._intent(ego) for ego in poses}
+            return {ego: intent._replace(speed=min(intent.speed, caps[ego])) for ego, intent in intents.items()}
 
     def _intent(self, ego: str) -> Intent:
         vehicle = libsumo.vehicle
