@@ -84,7 +84,7 @@ def test_lead_filter_has_the_frequency_response_of_its_transfer_function(frequen
         memory = memory._replace(speed=20.0, grade_accel=0.0)
     late = times > times[-1] - 2 * math.pi / frequency  # the last period, settled
     found = 2 * np.mean(np.array(out)[late] * np.exp(-1j * frequency * times[late])) * 1j
-    expected = (1 + 0.1j * frequency) / (1 + 0.0601j * frequency)
+    expected = (1 + 0.1j * frequency) / (1 + 1j * CruiseParams().lead_filter * frequency)
     assert found == pytest.approx(expected, rel=0.02)
 
 
@@ -96,7 +96,9 @@ def test_lead_filter_turns_the_lag_of_the_drive_into_its_own_shorter_one():
     for value in rng.normal(size=400):
         command, memory = cruise(NO_FEEDBACK, nets, CAR, memory, motion(20.0, known), 20.0, value, period)
         drive = (0.1 * drive + period * command.accel) / (0.1 + period)
-        wanted = (0.0601 * wanted + period * (known + value)) / (0.0601 + period)
+        wanted = (CruiseParams().lead_filter * wanted + period * (known + value)) / (
+            CruiseParams().lead_filter + period
+        )
         memory = memory._replace(speed=20.0, grade_accel=0.0)
         assert drive == pytest.approx(wanted, abs=1e-9)
 

@@ -206,7 +206,11 @@ EGO = '<vehicle id="ego" type="ego_sedan" route="through" depart="0" departLane=
         (ROUTES[ROUTES.index("<vehicle ") :], "</routes>", r'ego: found "ego", .* They declare no single vehicle\.'),
         ('depart="0"', 'depart="9999"', r'ego: vehicle "ego" of .* was not on the road .*'),
         ('departLane="1"', 'departLane="left"', r"traffic: vehicle 'ego' needs numbers as departLane and departPos\."),
-        ('route="through"', 'route="trough"', r'traffic: found the route "trough", which no route file declares\. Did you mean "through"\?'),
+        (
+            'route="through"',
+            'route="trough"',
+            r'traffic: found the route "trough", which no route file declares\. Did you mean "through"\?',
+        ),
         ("</routes>", "", r".*cars\.rou\.xml: not valid XML: no element found: line \d+, column 0\."),
         (ROUTES, "", r".*cars\.rou\.xml: not valid XML: no element found: line 1, column 0\."),
         # the double lane change
@@ -269,10 +273,22 @@ def test_a_wrong_network_file_is_refused_with_the_reason(refused, tmp_path, netw
         ('routes=["none.rou.xml"]', r".*none\.rou\.xml: no such route file\."),
         ('routes=["."]', r".*: no such route file\."),
         ("ego=egoo", r'ego: found "egoo", which is no vehicle of .*\. Did you mean "ego"\?'),
-        ("traffic.type=lorries", r'traffic\.type: found "lorries", which no route file declares\. Known: .*traffic.*\.'),
-        ("traffic.through=thru", r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?'),
-        ("traffic.exit=thru", r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?'),
-        ("traffic.enter=thru", r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?'),
+        (
+            "traffic.type=lorries",
+            r'traffic\.type: found "lorries", which no route file declares\. Known: .*traffic.*\.',
+        ),
+        (
+            "traffic.through=thru",
+            r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?',
+        ),
+        (
+            "traffic.exit=thru",
+            r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?',
+        ),
+        (
+            "traffic.enter=thru",
+            r'traffic: found the route "thru", which no route file declares\. Did you mean "through"\?',
+        ),
         ("warm_up=400", r'ego: vehicle "ego" of .* was not on the road .* not arrived\.'),
     ],
 )

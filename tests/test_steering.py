@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from emran_sumo.control.emran import LEARNED, NEURONS, SAMPLES, EmranParams, blank_memory
 from emran_sumo.control.steering import INPUTS, SteeringMemory, SteeringParams, cornering_slip, static_load, track
 from emran_sumo.path import nearest, tracking_errors
+from emran_sumo.plant.disturbance import DisturbanceParams
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 
 CAR = VehicleParams()
@@ -271,8 +272,9 @@ def test_network_without_authority_gives_the_bits_of_the_base_law(bench, double_
 def test_network_that_cannot_change_gives_the_bits_of_the_base_law(bench, double_lane_change):
     mute = ("growth_gain", "rate_initial", "rate_steady", "bias_rate")
     changes = {f"{half}.emran.{key}": 0.0 for half in ("lateral", "longitudinal") for key in mute}
-    base = bench.drive(double_lane_change, 10.0, 8.0, "coupled-base", position=20.0)
-    silent = bench.drive(double_lane_change, 10.0, 8.0, position=20.0, changes=changes)
+    push = DisturbanceParams(lateral_force=1500.0)
+    base = bench.drive(double_lane_change, 10.0, 8.0, "coupled-base", position=20.0, disturbance=push)
+    silent = bench.drive(double_lane_change, 10.0, 8.0, position=20.0, changes=changes, disturbance=push)
     for name in ("x", "y", "yaw", "speed_long", "yaw_rate", "steer_command", "accel_command", "cross_track_error"):
         np.testing.assert_array_equal(silent.column(name), base.column(name))
     assert silent.column("learned_steering")[-1] > 0

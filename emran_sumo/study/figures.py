@@ -165,6 +165,7 @@ def _metrics(cut: Slice) -> Drawn | None:
             _line(axes, cut, i, _means(cut, metric, name))
         axes.set_title(f"{metric.title} ({metric.unit})")
         _label_x(axes, cut)
+        axes.margins(y=0.08)
         axes.set_ylim(bottom=0.0)
     figure.supxlabel(words(cut.x), fontsize=8.0)
     _legend(figure, sheet[0])
@@ -290,7 +291,12 @@ def _traffic(cut: Slice) -> Drawn | None:
                 np.concatenate([cut.values(metric, name, x, seeds) for x in cut.xs])
                 for metric in (density, flow, speed)
             )
-            dots: dict[str, Any] = {"marker": MARKERS[i % 7], "s": 11, "facecolors": "none", "linewidths": 0.8}
+            dots: dict[str, Any] = {
+                "marker": MARKERS[i % 7],
+                "s": 10 - 4 * min(i, 1),
+                "facecolors": "none",
+                "linewidths": 0.7,
+            }
             sheet[1].scatter(k, q, color=COLORS[i % 7], **dots)
             sheet[2].scatter(k, v, color=COLORS[i % 7], **dots)
     sheet[0].set_title("Travel time of the ego (s/km)")

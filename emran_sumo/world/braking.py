@@ -5,27 +5,34 @@ import math
 import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
+SLOW = 1.0  # m/s: below it the lag costs less than the tolerance of a stop
+STOP_STATES = "ryRYu"  # of a light
 
 
 def speed_cap(ego: str, lag: float) -> float:
-    """Speed [m/s] at the end of the coming step with which the ego still stops where SUMO wants it to.
+    """Speed [m/s] at the end of the coming step with which the ego still stops where SUMO wants it to; inf if nowhere.
 
-        min over everything ahead of v_stop(v, gap - lag v)
+        v_stop(v, gap - lag v)                    at stops, and at closed links and lights that can be obeyed
+        v_follow(v, gap - lag (v - v_lead))       behind a leader
 
-    for stops, lights that are red or can be obeyed at yellow, links that are closed, and for a leader
-    v_follow(v, gap - lag (v - v_lead)); inf without any. v_stop and v_follow are SUMO's own.
+    v_stop and v_follow are SUMO's own.
 
     Args:
         ego: id, at its true pose and speed.
         lag: of the brakes [s].
     """
     vehicle = libsumo.vehicle
-    speed = vehicle.getSpeed(ego)
-    if lag <= 0.0:
+    lane = vehicle.getLaneID(ego)
+    if lag <= 0.0 or not lane:
         return math.inf
-    gaps = [gap for gap in (_to_stop(ego), _to_closed(ego, speed)) if gap < REACH]
-    cap = min((vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) for gap in gaps), default=math.inf)
-    return max(min(cap, _behind_leader(ego, speed, lag)), 0.0)
+    speed = vehicle.getSpeed(ego)
+    needed = 0.5 * speed * speed / vehicle.getDecel(ego)
+    gaps = [_to_stop(ego)]
+    # nearer than the brakes need, SUMO has decided to go on
+    gaps += [gap for gap in (_to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
+    gap = min(gaps)
+    stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
+    return max(min(stop, _behind_leader(ego, speed, lag)), 0.0)
 
 
 def _to_stop(ego: str) -> float:
@@ -36,22 +43,26 @@ def _to_stop(ego: str) -> float:
         return math.inf
     edge, _, index = stops[0].lane.rpartition("_")
     distance = vehicle.getDrivingDistance(ego, edge, stops[0].endPos, int(index))
-    return distance if 0.0 <= distance < REACH else math.inf
+    return distance if distance >= 0.0 else math.inf
 
 
-def _to_closed(ego: str, speed: float) -> float:
-    """Distance to the line before a light or a link that lets nobody through [m]."""
-    vehicle = libsumo.vehicle
-    needed = 0.5 * speed * speed / vehicle.getDecel(ego)
-    gap = math.inf
-    for _, _, distance, state in vehicle.getNextTLS(ego)[:1]:
-        if state in "ryRYu" and 0.0 < distance < REACH and needed <= distance:
-            gap = distance
-    end = libsumo.lane.getLength(vehicle.getLaneID(ego)) - vehicle.getLanePosition(ego)
-    links = vehicle.getNextLinks(ego) if end < gap and needed <= end < REACH else ()
-    if links and not links[0][2] and links[0][5] not in "ryRYu":
-        gap = end
-    return gap
+def _to_light(ego: str) -> float:
+    """Distance to the next light, where it is to be stopped at [m]."""
+    for _, _, distance, state in libsumo.vehicle.getNextTLS(ego)[:1]:
+        if state in STOP_STATES:
+            return distance
+    return math.inf
+
+
+def _to_closed(ego: str, lane: str, speed: float) -> float:
+    """Distance to the end of the lane, where somebody has to be let pass there; lights are looked at elsewhere [m]."""
+    if speed < SLOW:
+        return math.inf
+    links = libsumo.lane.getLinks(lane) if lane.startswith(":") else libsumo.vehicle.getNextLinks(ego)
+    # hasPrio, isOpen, hasFoe, ..., state
+    if not links or links[0][2] or links[0][5] in STOP_STATES:
+        return math.inf
+    return libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
 
 
 def _behind_leader(ego: str, speed: float, lag: float) -> float:
@@ -61,4 +72,4 @@ def _behind_leader(ego: str, speed: float, lag: float) -> float:
         return math.inf
     ahead = vehicle.getSpeed(name)
     room = max(gap - lag * max(speed - ahead, 0.0), 0.0)
-    return vehicle.getFollowSpeed(ego, speed, room, ahead, vehicle.getDecel(name), name)
+    return max(vehicle.getFollowSpeed(ego, speed, room, ahead, vehicle.getDecel(name), name), 0.0)

@@ -192,7 +192,7 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {ego: speed_cap(ego, self._lags[ego]) if self.lane_of(ego) else math.inf for ego in poses}
+            caps = {ego: speed_cap(ego, self._lags[ego]) for ego in poses}
             for ego, pose in poses.items():
                 ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
