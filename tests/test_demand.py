@@ -8,8 +8,8 @@ from pathlib import Path
 import libsumo
 import pytest
 
-from emran_sumo.locate import folder
 from emran_sumo.errors import UserError
+from emran_sumo.locate import folder
 from emran_sumo.world.demand import TrafficParams, write_demand
 from emran_sumo.world.network import main_lanes
 from emran_sumo.world.routes import departures
