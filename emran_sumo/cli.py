@@ -197,6 +197,7 @@ def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
 
 def main() -> None:
     """Entry point: a user's mistake is one sentence and exit code 2."""
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         code = app(standalone_mode=False)  # what typer makes of Ctrl-C depends on its version
     except UserError as error:
@@ -211,6 +212,11 @@ def main() -> None:
     if code in (130, 143):
         print("emran-sumo: interrupted before the drive began; nothing was recorded.", file=sys.stderr)
     raise SystemExit(code)
+
+
+def _terminate(number: int, _frame: object) -> NoReturn:
+    """SIGTERM before a run has its own handling."""
+    raise Interrupted(number)
 
 
 def _click_error(error: Exception) -> NoReturn:

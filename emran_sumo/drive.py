@@ -3,42 +3,37 @@
 import contextlib
 import json
 import math
-import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo import metrics
-from emran_sumo.ego import COLUMNS, UNITS, Ego, fitted, learning_state
-from emran_sumo.errors import Interrupted, UserError
+from emran_sumo.ego import COLUMNS, Ego, fitted, learning_state
+from emran_sumo.errors import UserError
 from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
-from emran_sumo.manifest import manifest, prepare, properties, write_summary
+from emran_sumo.manifest import clear, manifest, prepare, properties, writable, write_summary
 from emran_sumo.opening import World, opening
 from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.recorder import Recorder
-from emran_sumo.recording.table import write_trace
 from emran_sumo.report import summary_markdown
+from emran_sumo.results import Tally, summary_of, write_traces
 from emran_sumo.scenario import Located, Scenario
 from emran_sumo.selection import Selection
+from emran_sumo.stop import Stop, stoppable
 from emran_sumo.warm import Progress, warm_kernels
-from emran_sumo.world.flow import PERIOD, Flow
 from emran_sumo.world.native import Native, watch
 from emran_sumo.world.records import NOBODY
 from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
-from emran_sumo.world.wake import Wake
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
 OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
-WAIT_FOR_DEPARTURE = 3600.0  # s of simulated time that an ego may still need to appear
+WAIT_FOR_DEPARTURE = 300.0  # s after the warm-up in which the ego of a scenario must appear
 
 
 class RunResult(NamedTuple):
@@ -55,72 +50,11 @@ class RunResult(NamedTuple):
     trace: np.ndarray
 
 
-class Stop:
-    """Ctrl-C and SIGTERM end the run at the next step, so that everything is written; a second Ctrl-C breaks off."""
-
-    def __init__(self) -> None:
-        self.signal = 0
-
-    def __call__(self, number: int, _frame: FrameType | None) -> None:
-        if self.signal:
-            raise KeyboardInterrupt
-        self.signal = number
-
-    def check(self) -> None:
-        """Break off while there is nothing to write yet."""
-        if self.signal:
-            raise Interrupted(self.signal)
-
-    @property
-    def words(self) -> str:
-        """What stopped the run."""
-        return f"stopped by {signal.Signals(self.signal).name}"
-
-
-@contextlib.contextmanager
-def _stoppable() -> Iterator[Stop]:
-    stop, saved = Stop(), {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(ValueError):  # only the main thread may
-            saved[number] = signal.signal(number, stop)
-    try:
-        yield stop
-    finally:
-        for number, handler in saved.items():
-            signal.signal(number, handler)
-
-
 class Driven(NamedTuple):
     """An ego with its planner."""
 
     ego: Ego
     planner: DoubleLaneChanger | LaneFollower
-
-
-class Tally:
-    """What the host loop counts over all egos."""
-
-    def __init__(self, world: World) -> None:
-        self.steps = 0
-        self.vehicles = 0
-        self.crashes: set[tuple[str, str]] = set()
-        self.mirror: dict[str, float] = {}
-        self.wakes: dict[str, Wake] = {}
-        self.flow = Flow() if isinstance(world, SumoWorld) else None
-        self._period = max(round(PERIOD / world.step), 1)
-
-    def look(self, world: World, egos: dict[str, Driven], active: tuple[str, ...]) -> None:
-        """Count after a step; `active` egos are still on the road."""
-        self.vehicles += world.vehicle_count()
-        for pair in world.collisions():
-            if not any(name in egos for name in pair):
-                self.crashes.add((min(pair), max(pair)))
-        if self.flow is not None:
-            for name in active:
-                self.wakes.setdefault(name, Wake(name)).look()
-        if self.flow is not None and self.steps % self._period == 0:
-            self.flow.look()
-        self.steps += 1
 
 
 class Outcome(NamedTuple):
@@ -152,27 +86,35 @@ def run(
     Raises:
         UserError: a file, id or folder is not usable.
     """
+    with stoppable() as stop:
+        return _run(located, Path(out), stop, record, gui, command, progress)
+
+
+def _run(
+    located: Located, out: Path, stop: Stop, record: bool, gui: bool, command: str, progress: Progress
+) -> RunResult:
     scenario = located.values
     open_world = opening(located)
-    folder = prepare(Path(out), located)  # only now: a mistake must not cost the older run
+    folder = prepare(out, located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
-    with open_world(folder, gui) as world, _stoppable() as stop:
+    with writable(folder), open_world(folder, gui) as world:
         for done in world.warm_up(scenario.warm_up):
             progress("warm-up", done, scenario.warm_up)
-            stop.check()
         selection = Selection(scenario)
-        egos = _first_egos(world, located, selection, stop, progress)
+        egos = _first_egos(world, located, selection, progress)
         told = manifest(located, command)
         first = next(iter(egos.values())).ego
+        clear(folder)  # the older run stays until the new one has begun
+        stop.driving = True
         recorder = _open_recorder(folder, located, first, world, told) if record else None
         with recorder or contextlib.nullcontext():
             host = Host(world, scenario, egos, selection, recorder, stop, progress)
             host.drive()
-            summary = _summary(host, told)
+            summary = summary_of(host, told)
             if recorder is not None:
                 recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
-    _write_traces(folder, host)
-    write_summary(folder / "summary.json", summary)
+        write_traces(folder, host)
+        write_summary(folder / "summary.json", summary)
     return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
 
 
@@ -200,19 +142,17 @@ def native(located: Located, result: RunResult, progress: Progress = lambda *_: 
     return found
 
 
-def _first_egos(
-    world: World, located: Located, selection: Selection, stop: Stop, progress: Progress
-) -> dict[str, Driven]:
+def _first_egos(world: World, located: Located, selection: Selection, progress: Progress) -> dict[str, Driven]:
     """Step the world until the first ego is there."""
     scenario = located.values
     if isinstance(world, TrackWorld):
         return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
-    candidates, end = world.present(), min(world.time + WAIT_FOR_DEPARTURE, world.end)
+    patience = WAIT_FOR_DEPARTURE if not scenario.config else math.inf
+    candidates, end = world.present(), min(world.time + patience, world.end)
     while True:
         egos = _newcomers(world, scenario, selection, candidates, 0)
         if egos:
             return egos
-        stop.check()
         if world.expected() == 0 or world.time > end:
             said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
             raise UserError(
@@ -363,6 +303,8 @@ class Host:
         if ego.collided:
             return Outcome("collision", f"collided with {', '.join(sorted(ego.collided))} {after}")
         where = f"{after} at ({car.x:.1f}, {car.y:.1f}) m"
+        if isinstance(self.world, SumoWorld) and not self.world.knows(ego.name):
+            return Outcome("lost", f"SUMO removed the ego {where}")
         if not lane and self._off_road[ego.name] * self.world.step > OFF_ROAD_MOST:
             return Outcome("lost", f"SUMO lost the ego {where}: it is off the road")
         if not lane:
@@ -393,69 +335,13 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
     ego.told = len(ego.events)
 
 
-def _summary(host: Host, told: dict[str, Any]) -> dict[str, Any]:
-    """Everything of a run but its traces; the shown ego first, all of several egos below it."""
-    shown = host.outcomes[host.shown]
-    found = {name: _measure(host, driven) for name, driven in host.all.items()}
-    summary: dict[str, Any] = {"ended": shown.ended, "reason": shown.reason, "metrics": found[host.shown]}
-    if len(host.all) > 1:
-        summary["egos"] = {name: {**host.outcomes[name]._asdict(), "metrics": found[name]} for name in host.all}
-    notes = host.world.notes if isinstance(host.world, SumoWorld) else ()
-    return summary | {"ego": host.shown, "notes": list(notes), "manifest": told}
-
-
-def _measure(host: Host, driven: Driven) -> dict[str, dict[str, Any]]:
-    ego, tally = driven.ego, host.tally
-    trace = ego.trace()
-    columns = {name: trace[:, i] for i, name in enumerate(COLUMNS)}
-    moving = trace[-1:, AT.time].sum()
-
-    def least(name: str) -> float | None:
-        low = columns[name].min(initial=math.inf)
-        return float(low) if math.isfinite(low) else None
-
-    return {
-        "tracking": metrics.tracking(trace),
-        "safety": {
-            "time_to_collision_min": least("time_to_collision"),
-            "gap_min": least("lead_gap"),
-            "deceleration_to_avoid_max": metrics.largest(columns["deceleration_to_avoid"]),
-            "collisions": len(ego.collided),
-            "collisions_of_others": len(tally.crashes),
-        },
-        "comfort": metrics.comfort(trace),
-        "effort": metrics.effort(trace),
-        "networks": metrics.networks(trace),
-        "traffic": tally.flow.means() if tally.flow else {},
-        "wake": tally.wakes[ego.name].results() if ego.name in tally.wakes else {},
-        "run": {
-            "simulated": float(moving),
-            "distance": float(np.hypot(np.diff(columns["x"]), np.diff(columns["y"])).sum()),
-            "real_time_factor": float(tally.steps * host.world.step / host.wall) if host.wall > 0.0 else None,
-            "vehicles_mean": tally.vehicles / max(tally.steps, 1),
-            "mirror_error_max": tally.mirror.get(ego.name, 0.0),
-            "double_lane_change_began": driven.planner.began,
-            "lane_changes": getattr(driven.planner, "count", 0),
-        },
-    }
-
-
-def _write_traces(folder: Path, host: Host) -> None:
-    """trace.parquet of the shown ego; egos/<id>.parquet of the others."""
-    for name, driven in host.all.items():
-        file = folder / "trace.parquet" if name == host.shown else folder / "egos" / f"{_file_name(name)}.parquet"
-        write_trace(file, COLUMNS, driven.ego.trace(), UNITS)
-
-
-def _file_name(ego: str) -> str:
-    """An id of SUMO as the name of a file."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in ego)
-
-
 def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:
     s, v = located.values, ego.vehicle
     shape = EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)
     name = f"{located.name}, {s.controller}, seed {s.seed}"
     identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
-    return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)
+    try:
+        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)
+    except RuntimeError as error:
+        raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None

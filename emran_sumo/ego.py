@@ -37,6 +37,8 @@ AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
+SETTING_OFF, SETTING_OFF_ACCEL = 3.0, 0.5  # m/s, m/s2
+LEAD_MOST = 0.5  # m/s
 TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 
@@ -180,13 +182,25 @@ class Ego:
         """The profile within the step, where the world knows it, or a straight line to the wished speed."""
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
-            most = CURVE_BRAKING * self.scenario.rates.sumo_step
-            end = min(wanted.speed, max(self._curve_speed(), self._speed_reference - most))
+            step, before = self.scenario.rates.sumo_step, self._speed_reference
+            end = min(
+                wanted.speed + self._lead(wanted.speed, step), max(self._curve_speed(), before - CURVE_BRAKING * step)
+            )
+            end = max(end, before - self.scenario.longitudinal.decel_max * step)
             rise = end - self._speed_reference
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
         return References(self.path, self.driven, speeds, accels, noise, self._origin)
+
+    def _lead(self, wish: float, step: float) -> float:
+        """How far the reference keeps ahead of a car that sets off [m/s].
+
+        The wish is counted from the present speed: a reference that starts there anew each step would wait for the car.
+        """
+        if self.speed > SETTING_OFF or wish < self.speed + SETTING_OFF_ACCEL * step:
+            return 0.0
+        return min(max(self._speed_reference - self.speed, 0.0), LEAD_MOST)
 
     def _curve_speed(self) -> float:
         """Speed that the bends ahead allow at the end of this step [m/s]; SUMO does not know of bends."""

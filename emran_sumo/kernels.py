@@ -1,7 +1,7 @@
 """The one door to numba: compiled functions whose cache can never be stale.
 
 numba's on-disk cache notices a change in the file of a function, but not in the other files that function calls.
-All kernels therefore cache in a folder named by a digest of every kernel source, numba and the CPU.
+All kernels therefore cache in a folder named by a digest of every kernel source, their place, numba and the CPU.
 """
 
 import hashlib

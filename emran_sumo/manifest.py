@@ -1,10 +1,12 @@
 """The folder of a run: what is put into it and what it says about itself."""
 
+import contextlib
 import hashlib
 import json
 import platform
 import shlex
 import time
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,27 +16,41 @@ from emran_sumo.errors import UserError
 from emran_sumo.scenario import Located, to_dict
 from emran_sumo.world.session import version as sumo_version
 
+STARTING = "starting.rou.xml"  # the traffic of a run that has not begun to drive
 FILES = ("run.rrd", "trace.parquet", "summary.json", "traffic.rou.xml")
 
 
 def prepare(out: Path, located: Located) -> Path:
-    """The run's folder, emptied of an older run of the same name.
+    """The run's folder, made and found writable; an older run in it is left alone.
 
     Raises:
         UserError: the folder cannot be written.
     """
     s = located.values
     folder = out / located.name / f"{s.controller}-seed{s.seed}"
-    try:
+    with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
-        for old in (folder / "egos").glob("*.parquet"):
-            old.unlink()
-        (folder / "traffic.rou.xml").touch()
-    except OSError as error:
-        raise UserError(f"--out: cannot write to {folder}: {error.strerror}; accepted is a writable folder.") from None
+        (folder / STARTING).touch()
     return folder
+
+
+def clear(folder: Path) -> None:
+    """Remove an older run; the traffic of the new one takes its place."""
+    for name in FILES:
+        (folder / name).unlink(missing_ok=True)
+    for old in (folder / "egos").glob("*.parquet"):
+        old.unlink()
+    (folder / STARTING).replace(folder / "traffic.rou.xml")
+
+
+@contextlib.contextmanager
+def writable(folder: Path) -> Iterator[None]:
+    """Turn what the system says of a folder that is not writable, or full, into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(f"--out: cannot write to {folder}: {reason}; accepted is a writable folder.") from None
 
 
 def manifest(located: Located, command: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from emran_sumo import locate
 from emran_sumo.errors import UserError, nearest_name
+from emran_sumo.manifest import STARTING
 from emran_sumo.scenario import Located, Scenario
 from emran_sumo.world.config import read_config, redirected
 from emran_sumo.world.demand import write_demand
@@ -49,7 +50,7 @@ def opening(located: Located) -> Callable[[Path, bool], World]:
     additional = [located.folder / name for name in scenario.additional]
 
     def open_scenario(folder: Path, gui: bool) -> SumoWorld:
-        traffic = folder / "traffic.rou.xml"
+        traffic = folder / STARTING
         _write_traffic(traffic, network, routes, scenario)
         options = scenario_options(network, [*routes, traffic], additional, rates.driver_step)
         return SumoWorld(options, rates.sumo_step, scenario.seed, scenario.road.speed_limit, gui)

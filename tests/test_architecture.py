@@ -12,7 +12,7 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics maneuver scenario",
-    "ego planner selection opening warm manifest drive bench report tuning search checkpoint tune paper",
+    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
     "study",
     "terminal cli_study cli",
 )

@@ -226,7 +226,7 @@ def test_an_interruption_before_the_drive_is_one_sentence(tmp_path):
     process = start(tmp_path, "--set", "warm_up=3600", "--density", "60")
     folder = tmp_path / "highway_dlc" / "coupled-emran-seed1"
     end = time.monotonic() + 120.0
-    while not ((file := folder / "traffic.rou.xml").exists() and file.stat().st_size > 1000):
+    while not ((file := folder / "starting.rou.xml").exists() and file.stat().st_size > 1000):
         assert time.monotonic() < end
         time.sleep(0.02)
     time.sleep(2.0)

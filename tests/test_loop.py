@@ -193,10 +193,16 @@ def errors_of(run):
 
 # gains of the independent model
 MODEL = {
-    "lateral.gain": 3.3585, "lateral.softening": 1.2817, "lateral.yaw_damping": 0.0702,
-    "lateral.reference_ahead": 0.052, "lateral.preview_feedforward": 0.0423, "lateral.preview_feedback": 0.0555, "lateral.preview_slope": 0.072,
-    "lateral.preview_window": 0.0323, "lateral.smoothing": 0.927,
-}  # fmt: skip
+    "lateral.gain": 3.3585,
+    "lateral.softening": 1.2817,
+    "lateral.yaw_damping": 0.0702,
+    "lateral.reference_ahead": 0.052,
+    "lateral.preview_feedforward": 0.0423,
+    "lateral.preview_feedback": 0.0555,
+    "lateral.preview_slope": 0.072,
+    "lateral.preview_window": 0.0323,
+    "lateral.smoothing": 0.927,
+}
 
 
 @pytest.fixture(scope="module")

@@ -407,7 +407,7 @@ def test_killed_workers_and_coordinators_change_no_bit_of_a_study_of_60_runs(tmp
 
 def test_a_killed_coordinator_leaves_no_process_behind(tmp_path):
     process = emran_sumo(
-        "study", "track_dlc", "--set", "duration=80000", "--seeds", 2, "--workers", 2, "--out", tmp_path / "s"
+        "study", "track_dlc", "--set", "duration=5000", "--seeds", 2, "--workers", 2, "--out", tmp_path / "s"
     )
     workers: list[int] = []
     until = time.monotonic() + 60
@@ -484,7 +484,7 @@ def test_a_crash_costs_only_its_run_and_is_tried_once_more(tmp_path):
 
 
 def test_a_hanging_run_is_given_up_and_the_others_are_driven(tmp_path):
-    of = tiny((1,), duration=(1.0, 80_000.0, 2.0))._replace(timeout=6.0)
+    of = tiny((1,), duration=(1.0, 20_000.0, 2.0))._replace(timeout=6.0)
     assert execute.study(tmp_path / "s", of, Settings(workers=1)) == Counts(3, 2, 1)
     with Store(tmp_path / "s") as store:
         assert store.errors() == [("timed out after 6 s", 1)]

@@ -5,7 +5,7 @@ import math
 import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
-SLOW = 1.0  # m/s: below it the lag costs less than the tolerance of a stop
+SLOW = 0.3  # m/s: below it the lag costs less than the room before the line
 STOP_STATES = "ryRYu"  # of a light
 
 

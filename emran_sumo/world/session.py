@@ -3,6 +3,8 @@
 import contextlib
 import os
 import re
+import socket
+import sys
 import tempfile
 from pathlib import Path
 
@@ -44,8 +46,8 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[s
     Raises:
         UserError: with SUMO's own reason.
     """
-    if gui and os.name == "posix" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise UserError("--sumo-gui: there is no display; accepted is a session with one (DISPLAY is not set).")
+    if gui:
+        _check_display()
     ours = {
         "step-length": f"{step:g}",
         "step-method.ballistic": "true",
@@ -76,6 +78,23 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[s
         if refused is None or refused[1] in unknown or refused[1] not in options:
             raise UserError(f"SUMO cannot start with {options['net-file']}: {one_line(reason)}")
         unknown.append(refused[1])
+
+
+def _check_display() -> None:
+    """Refuse a window without a display: SUMO's own window library ends the whole process there."""
+    display = os.environ.get("DISPLAY", "")
+    if os.name != "posix" or sys.platform == "darwin":
+        return
+    if not display:
+        raise UserError("--sumo-gui: there is no display; accepted is a session with one (DISPLAY is not set).")
+    host, _, number = display.rpartition(":")
+    if host in ("", "unix"):
+        place = f"/tmp/.X11-unix/X{number.partition('.')[0]}"
+        with socket.socket(socket.AF_UNIX) as probe:
+            try:
+                probe.connect(place)
+            except OSError:
+                raise UserError(f'--sumo-gui: no display answers at DISPLAY="{display}".') from None
 
 
 def version() -> str:

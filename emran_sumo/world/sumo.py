@@ -192,8 +192,10 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {ego: speed_cap(ego, self._lags[ego]) for ego in poses}
+            caps = {ego: speed_cap(ego, self._lags[ego]) if self.knows(ego) else math.inf for ego in poses}
             for ego, pose in poses.items():
+                if not self.knows(ego):
+                    continue
                 ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
                 self._place(ego, pose._replace(x=x, y=y))
@@ -205,7 +207,7 @@ class SumoWorld:
     def _intent(self, ego: str) -> Intent:
         vehicle = libsumo.vehicle
         if not self.lane_of(ego):
-            return Intent(vehicle.getSpeed(ego))
+            return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
         speed = self._wish(ego)
         for side, bit in ((1, LEFT), (-1, RIGHT)):
             state = vehicle.getLaneChangeState(ego, side)[0]
@@ -222,7 +224,9 @@ class SumoWorld:
         left = self.room(ego) - CHANGE_ROOM
         if left < 0.0:
             return math.inf
-        return max(libsumo.vehicle.getStopSpeed(ego, libsumo.vehicle.getSpeed(ego), left), 0.0)
+        speed = libsumo.vehicle.getSpeed(ego)
+        least = max(speed - libsumo.vehicle.getDecel(ego) * self.step, 0.0)
+        return max(libsumo.vehicle.getStopSpeed(ego, speed, left), least)
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
@@ -257,7 +261,8 @@ class SumoWorld:
         """Write the true poses of the egos at the end of the step back and finish the step."""
         with told():
             for ego, pose in poses.items():
-                self._place(ego, pose)
+                if self.knows(ego):
+                    self._place(ego, pose)
             libsumo.simulation.step()
             self._pending = False
             for ego, pose in poses.items():
@@ -365,6 +370,10 @@ class SumoWorld:
         except SUMO_ERRORS:
             return ""
 
+    def knows(self, ego: str) -> bool:
+        """Whether SUMO still has the vehicle; off the road it has it too."""
+        return ego in libsumo.vehicle.getIDList()
+
     def arrived(self, ego: str) -> bool:
         """Whether the ego is at the end of its route: SUMO itself removes no vehicle that is moved from outside."""
         vehicle = libsumo.vehicle
@@ -382,6 +391,8 @@ class SumoWorld:
         """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
         self._drop_phantom(PHANTOM + ego)
         with contextlib.suppress(*SUMO_ERRORS):
+            # SUMO would look around a vehicle that it has no more, and stop
+            libsumo.vehicle.unsubscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT)
             libsumo.vehicle.remove(ego, REMOVE_ARRIVED)
 
     def collisions(self) -> list[tuple[str, str]]:

@@ -1,0 +1,122 @@
+"""Lane changes that SUMO wishes are begun with room, latched, ended, and given up when the gap closes."""
+
+import math
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from emran_sumo.path import Path
+from emran_sumo.planner import AT_THE_END, SPARE, TIGHTEST, LaneFollower
+from emran_sumo.world.records import Intent, Others
+
+WIDTH = 3.2
+FREE = Others(*(np.zeros(0) for _ in range(5)))
+
+
+def lane(y: float) -> Path:
+    x = np.arange(0.0, 1000.0, 0.25)
+    zero = np.zeros_like(x)
+    return Path(x, zero + y, zero, zero, zero, 0.25)
+
+
+class Ego:
+    """As much of an ego as a planner touches, at x = 100 m on the lane y = 0."""
+
+    def __init__(self, speed: float) -> None:
+        self.name, self.speed, self.time, self.lane_width = "ego", speed, 10.0, WIDTH
+        self.base = self.path = lane(0.0)
+        self.state = SimpleNamespace(position=100.0, vehicle=SimpleNamespace(x=100.0, y=0.0))
+        self.vehicle = SimpleNamespace(length=4.7)
+        self.maneuver, self.said = "keep lane", []
+
+    def take_path(self, base: Path, path: Path) -> None:
+        self.base, self.path = base, path
+
+    def enter(self, name: str, text: str) -> None:
+        self.maneuver = name
+        self.said.append(text)
+
+    def say(self, _level: str, text: str) -> None:
+        self.said.append(text)
+
+
+class Lanes:
+    """Lanes at y = 0 and to the left of it."""
+
+    def __init__(self) -> None:
+        self.left = lane(WIDTH)
+
+    def lane_path(self, _ego: str, side: int) -> Path | None:
+        return self.left if side > 0 else None
+
+    def ask_for_room(self, ego: str, side: int) -> None:
+        raise AssertionError
+
+
+def begun(speed: float, room: float = math.inf) -> tuple[Any, LaneFollower, Lanes]:
+    ego, lanes = cast(Any, Ego(speed)), Lanes()
+    follower = LaneFollower(True, lambda _: room)
+    follower.plan(ego, Intent(speed, 1), FREE, lanes)
+    return ego, follower, lanes
+
+
+def reached(path: Path) -> float:
+    """Where the path has arrived in the left lane, counted from x = 100 m."""
+    return float(path.x[np.argmax(path.y > WIDTH - 0.01)]) - 100.0
+
+
+@pytest.mark.parametrize("speed", [15.0, 30.0])
+def test_a_change_takes_four_seconds_and_leaves_the_lane_without_a_kink(speed):
+    ego, follower, _ = begun(speed)
+    assert follower.count == 1
+    assert 3.2 * speed < reached(ego.path) < 4.0 * speed
+    assert np.abs(ego.path.curvature).max() * speed**2 < 2.0  # m/s2
+    assert ego.path.y[400] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("room", [50.0, 25.0, 12.0])
+def test_a_change_ends_before_the_lane_does(room):
+    ego, _, _ = begun(15.0, room)
+    assert reached(ego.path) <= max(room - SPARE, TIGHTEST)
+
+
+def test_in_a_queue_only_a_change_that_cannot_wait_begins():
+    assert begun(0.0, AT_THE_END + 1.0)[1].count == 0
+    assert begun(0.0, AT_THE_END - 1.0)[1].count == 1
+
+
+def test_no_change_begins_where_there_is_no_lane_or_none_is_wanted():
+    ego, lanes = cast(Any, Ego(20.0)), Lanes()
+    for follower, side in ((LaneFollower(True, lambda _: 99.0), -1), (LaneFollower(False, lambda _: 99.0), 1)):
+        follower.plan(ego, Intent(20.0, side), FREE, lanes)
+        assert follower.count == 0
+
+
+def test_a_change_is_latched_and_ends_after_its_way():
+    ego, follower, lanes = begun(20.0)
+    way = ego.path
+    follower.plan(ego, Intent(20.0, 0), FREE, lanes)
+    assert ego.path is way
+    ego.state.position = 181.0
+    follower.plan(ego, Intent(20.0, 0), FREE, lanes)
+    assert ego.said[-1] == "lane change left done"
+
+
+def beside(speed: float, own_offset: float) -> Others:
+    """Somebody 10 m behind the ego in the lane that it changes to."""
+    one = np.ones(1)
+    return Others(-10.0 * one, 0.0 * one, speed * one, 5.0 * one, 1.8 * one, own_offset)
+
+
+def test_a_change_is_given_up_when_the_gap_closes_while_the_ego_is_in_its_own_lane():
+    ego, follower, lanes = begun(20.0)
+    follower.plan(ego, Intent(20.0), beside(20.0, -3.0), lanes)
+    assert ego.base is lanes.left, "nobody comes closer"
+    follower.plan(ego, Intent(20.0), beside(35.0, -1.0), lanes)
+    assert ego.base is lanes.left, "too late: most of it is across"
+    follower.plan(ego, Intent(20.0), beside(35.0, -3.0), lanes)
+    assert "abandoned" in ego.said[-1]
+    assert ego.base.y[0] == 0.0
+    assert ego.path.y[-1] == pytest.approx(0.0, abs=1e-9)
