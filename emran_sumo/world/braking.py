@@ -6,6 +6,8 @@ import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
 SLOW = 0.3  # m/s: below it the lag costs less than the room before the line
+STOPPED = 1  # bit of the stop state
+CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
 STOP_STATES = "ryRYu"  # of a light
 
 
@@ -39,7 +41,7 @@ def _to_stop(ego: str) -> float:
     """Distance to the next stop [m]."""
     vehicle = libsumo.vehicle
     stops = vehicle.getStops(ego, 1)
-    if not stops or vehicle.isStopped(ego):
+    if not stops or vehicle.getStopState(ego) & STOPPED:
         return math.inf
     edge, _, index = stops[0].lane.rpartition("_")
     distance = vehicle.getDrivingDistance(ego, edge, stops[0].endPos, int(index))
@@ -73,3 +75,23 @@ def _behind_leader(ego: str, speed: float, lag: float) -> float:
     ahead = vehicle.getSpeed(name)
     room = max(gap - lag * max(speed - ahead, 0.0), 0.0)
     return max(vehicle.getFollowSpeed(ego, speed, room, ahead, vehicle.getDecel(name), name), 0.0)
+
+
+def room(ego: str) -> float:
+    """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
+    vehicle = libsumo.vehicle
+    lane = vehicle.getLaneID(ego)
+    for found in vehicle.getBestLanes(ego):
+        if found[0] == lane:
+            return max(found[1] - vehicle.getLanePosition(ego), 0.0)
+    return 0.0
+
+
+def speed_for_room(ego: str, step: float) -> float:
+    """Speed [m/s] that stops the ego where a change of lane still has room: SUMO changes lanes on the spot."""
+    left = room(ego) - CHANGE_ROOM
+    if left < 0.0:
+        return math.inf
+    speed = libsumo.vehicle.getSpeed(ego)
+    least = max(speed - libsumo.vehicle.getDecel(ego) * step, 0.0)
+    return max(libsumo.vehicle.getStopSpeed(ego, speed, left), least)

@@ -11,8 +11,7 @@ import libsumo
 import numpy as np
 
 from emran_sumo.path import Path
-from emran_sumo.world import session
-from emran_sumo.world.braking import speed_cap
+from emran_sumo.world import braking, session
 from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
@@ -27,7 +26,6 @@ LANE_CHANGE_DEFAULT = 1621
 LEFT, RIGHT = 2, 4  # bits of a lane change wish
 STRATEGIC = 8
 REASONS = STRATEGIC | 16 | 32 | 64  # and cooperative, speed gain, keep right
-CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
 # by leaders or followers on either side, by overlapping vehicles, by too little room or speed
 BLOCKED = 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 28
 UNKNOWN = 1 << 30
@@ -192,7 +190,7 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {ego: speed_cap(ego, self._lags[ego]) if self.knows(ego) else math.inf for ego in poses}
+            caps = {ego: braking.speed_cap(ego, self._lags[ego]) if self.knows(ego) else math.inf for ego in poses}
             for ego, pose in poses.items():
                 if not self.knows(ego):
                     continue
@@ -216,26 +214,12 @@ class SumoWorld:
             if not state & BLOCKED:
                 return Intent(speed, side)
             if state & STRATEGIC and PHANTOM + ego not in self._phantoms:
-                speed = min(speed, self._speed_for_room(ego))
+                speed = min(speed, braking.speed_for_room(ego, self.step))
         return Intent(speed)
-
-    def _speed_for_room(self, ego: str) -> float:
-        """Speed [m/s] that stops the ego where a change of lane still has room: SUMO changes lanes on the spot."""
-        left = self.room(ego) - CHANGE_ROOM
-        if left < 0.0:
-            return math.inf
-        speed = libsumo.vehicle.getSpeed(ego)
-        least = max(speed - libsumo.vehicle.getDecel(ego) * self.step, 0.0)
-        return max(libsumo.vehicle.getStopSpeed(ego, speed, left), least)
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
-        vehicle = libsumo.vehicle
-        lane = vehicle.getLaneID(ego)
-        for found in vehicle.getBestLanes(ego):
-            if found[0] == lane:
-                return max(found[1] - vehicle.getLanePosition(ego), 0.0)
-        return 0.0
+        return braking.room(ego)
 
     def rerouted(self, ego: str) -> bool:
         """Whether the ego's route has changed since the last call."""
