@@ -1,4 +1,4 @@
-"""Braking early enough for a car whose brakes answer with a lag: SUMO brakes at the last moment, at once."""
+"""What speed SUMO wants, early enough for a car whose brakes answer with a lag: SUMO brakes at the last moment."""
 
 import math
 
@@ -95,3 +95,13 @@ def speed_for_room(ego: str, step: float) -> float:
     speed = libsumo.vehicle.getSpeed(ego)
     least = max(speed - libsumo.vehicle.getDecel(ego) * step, 0.0)
     return max(libsumo.vehicle.getStopSpeed(ego, speed, left), least)
+
+
+def wish(ego: str, step: float) -> float:
+    """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
+
+    To SUMO that is a negative speed, in whose place it reports the present one: the ego would creep on.
+    """
+    wanted, present = libsumo.vehicle.getSpeedWithoutTraCI(ego), libsumo.vehicle.getSpeed(ego)
+    stops = wanted == present <= libsumo.vehicle.getEmergencyDecel(ego) * step
+    return 0.0 if stops else max(wanted, 0.0)

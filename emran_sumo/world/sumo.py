@@ -64,7 +64,7 @@ class SumoWorld:
         self.last_message = ""
         self.end = math.inf  # of the scenario [s]
         unknown = session.start(options, step, seed, gui)
-        self.notes = (f"left out, as SUMO does not know it: {', '.join(unknown)}",) if unknown else ()
+        self.notes: tuple[str, ...] = (f"left out, as SUMO does not know it: {', '.join(unknown)}",) if unknown else ()
         self.map = RoadMap()
         try:
             self._limit_speed(speed_limit)
@@ -206,7 +206,7 @@ class SumoWorld:
         vehicle = libsumo.vehicle
         if not self.lane_of(ego):
             return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
-        speed = self._wish(ego)
+        speed = braking.wish(ego, self.step)
         for side, bit in ((1, LEFT), (-1, RIGHT)):
             state = vehicle.getLaneChangeState(ego, side)[0]
             if state == UNKNOWN or not (state & bit and state & REASONS):
@@ -229,17 +229,7 @@ class SumoWorld:
 
     def on_last_edge(self, ego: str) -> bool:
         """Whether the ego is on the last edge of its route."""
-        route = libsumo.vehicle.getRoute(ego)
-        return libsumo.vehicle.getRouteIndex(ego) == len(route) - 1
-
-    def _wish(self, ego: str) -> float:
-        """Speed [m/s] that SUMO wants; 0 where it wants a stop within the step.
-
-        To SUMO that is a negative speed, in whose place it reports the present one: the ego would creep on.
-        """
-        wish, present = libsumo.vehicle.getSpeedWithoutTraCI(ego), libsumo.vehicle.getSpeed(ego)
-        stops = wish == present <= libsumo.vehicle.getEmergencyDecel(ego) * self.step
-        return 0.0 if stops else max(wish, 0.0)
+        return libsumo.vehicle.getRouteIndex(ego) == len(libsumo.vehicle.getRoute(ego)) - 1
 
     def commit(self, poses: dict[str, Pose]) -> None:
         """Write the true poses of the egos at the end of the step back and finish the step."""
