@@ -1,5 +1,6 @@
 """The closed loop on an analytic road, without traffic: what the tests of controllers share."""
 
+import signal
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ from emran_sumo.plant.disturbance import DisturbanceParams
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 
 CAR = VehicleParams()
+
+# a suite started in the background inherits an ignored SIGINT, and so would the processes whose SIGINT is tested
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Drive(NamedTuple):

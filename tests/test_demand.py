@@ -200,7 +200,7 @@ def test_the_main_lanes_are_five_kilometers_long_and_shift_by_one_beside_a_fourt
     ],
 )
 def test_what_cannot_be_is_said_in_a_sentence(tmp_path: Path, keys: dict, sentence: str):
-    with pytest.raises((ValueError, UserError), match=f"^{sentence}$"):
+    with pytest.raises((ValueError, UserError), match=sentence):
         write(tmp_path, **keys)
 
 
@@ -212,7 +212,7 @@ def test_departures_are_read_from_the_route_file(tmp_path: Path):
         '<vehicle id="vague" depart="0" departLane="best"><route edges="a b"/></vehicle></routes>'
     )
     assert departures([other], ["late"], LIMIT) == ()
-    with pytest.raises((ValueError, UserError), match=r"^vehicle 'vague' needs numbers as departLane and departPos$"):
+    with pytest.raises(ValueError, match=r"^vehicle 'vague' needs numbers as departLane and departPos$"):
         departures([other], ["vague"], LIMIT)
-    with pytest.raises((ValueError, UserError), match=r"^vehicle 'ghost' is in none of the route files$"):
+    with pytest.raises(ValueError, match=r"^vehicle 'ghost' is in none of the route files$"):
         departures([other], ["ghost"], LIMIT)
