@@ -58,7 +58,7 @@ class Driven(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How one ego ended: ended, reason, and wall time of the whole loop at that moment [s]."""
+    """How one ego ended, as in RunResult."""
 
     ended: str
     reason: str
