@@ -188,9 +188,9 @@ def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
 
     terminal.show(result, recorded)
     if view and recorded:
-        import subprocess
+        from emran_sumo.viewer import open_viewer
 
-        subprocess.Popen([sys.executable, "-m", "rerun", str(result.folder / "run.rrd")], start_new_session=True)
+        open_viewer(result.folder / "run.rrd")
     if result.ended == "interrupted":
         raise SystemExit(128 + (signal.SIGTERM if "SIGTERM" in result.reason else signal.SIGINT))
 

@@ -109,7 +109,7 @@ def _run(
         recorder = _open_recorder(folder, located, first, world, told) if record else None
         with recorder or contextlib.nullcontext():
             host = Host(world, scenario, egos, selection, recorder, stop, progress)
-            host.drive()
+            host.drive(real_time=gui)
             summary = summary_of(host, told)
             if recorder is not None:
                 recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
@@ -222,23 +222,30 @@ class Host:
         self._off_road: dict[str, int] = {}  # steps in a row
         self._stop, self._progress = stop, progress
 
-    def drive(self) -> None:
-        """Drive until every ego has ended, or the duration."""
+    def drive(self, real_time: bool = False) -> None:
+        """Drive until every ego has ended, or the duration; no faster than the clock on the wall with `real_time`."""
         began = time.perf_counter()
         left = self.world.end - self.world.time if isinstance(self.world, SumoWorld) else math.inf
         duration = min(self.scenario.duration, left)
         steps = max(round(duration / self.world.step), 1)
         for done in range(1, steps + 1):
-            self._step()
+            try:
+                self._step()
+            except UserError:
+                if not real_time:
+                    raise
+                self._stop.window_closed = True
             self._progress("drive", done * self.world.step, duration)
-            if self._stop.signal or self._is_over():
+            if real_time:  # somebody watches SUMO's own window
+                time.sleep(max(began + done * self.world.step - time.perf_counter(), 0.0))
+            if self._stop.words or self._is_over():
                 break
         for name, driven in self.active.items():
             reason = f"drove {driven.ego.time:g} s as planned"
             if duration < self.scenario.duration:
                 reason = f"drove {driven.ego.time:g} s, to the configuration's own end"
             ended = Outcome("finished", reason)
-            if self._stop.signal:
+            if self._stop.words:
                 ended = Outcome("interrupted", f"{self._stop.words} after {driven.ego.time:.1f} s")
             self.outcomes[name] = ended
         self.wall = time.perf_counter() - began

@@ -236,10 +236,11 @@ class Ego:
         center = self._center_ahead()
         offset = -(car.x - here.x) * math.sin(here.yaw) + (car.y - here.y) * math.cos(here.yaw)
         ahead = along[:, 0] - here.position - center
-        yaw = np.interp(along[:, 0], np.arange(self.base.x.size) * self.base.spacing, self.base.yaw)
-        c, s = np.abs(np.cos(traffic.yaw - yaw)), np.abs(np.sin(traffic.yaw - yaw))
+        turned = traffic.yaw - along[:, 2]
+        cosine, s = np.cos(turned), np.abs(np.sin(turned))
+        c = np.abs(cosine)
         length, width = traffic.length * c + traffic.width * s, traffic.length * s + traffic.width * c
-        return Others(ahead, along[:, 1], traffic.speed * np.cos(traffic.yaw - yaw), length, width, offset)
+        return Others(ahead, along[:, 1], traffic.speed * cosine, length, width, offset)
 
     def _center_ahead(self) -> float:
         """From the center of gravity forward to the center of the body [m]."""
@@ -263,6 +264,8 @@ class Ego:
 
     def _corridor(self, ahead: float) -> float:
         """Lateral offset of the path from its lane at a distance ahead of the ego [m]."""
+        if self.path is self.base:
+            return 0.0
         position = self.state.position + ahead
         x, y = (interpolate(values, self.path, position) for values in (self.path.x, self.path.y))
         point = nearest(self.base, x, y, position)

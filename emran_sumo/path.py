@@ -202,11 +202,11 @@ def lane_change_offset(changes: tuple[LaneChange, ...], position: np.ndarray) ->
 
 @njit
 def project(path, x, y, hint, reach):
-    """Positions [m] and lateral offsets [m], left positive, of points x, y (n,) along the path, as (n, 2).
+    """Positions [m] along the path, lateral offsets [m], left positive, and yaw of the path [rad] at points x, y (n,).
 
-    `hint` [m] is a position near which the points lie, within `reach` [m]; coarse steps of 5 m find the start.
+    `hint` [m] is a position near which the points lie, within `reach` [m]; coarse steps of 5 m find the start. (n, 3).
     """
-    out = np.empty((x.size, 2))
+    out = np.empty((x.size, 3))
     for i in range(x.size):
         best, best_d2 = hint, np.inf
         position = hint - reach
@@ -219,4 +219,5 @@ def project(path, x, y, hint, reach):
         p = nearest(path, x[i], y[i], best)
         out[i, 0] = p.position
         out[i, 1] = -(x[i] - p.x) * math.sin(p.yaw) + (y[i] - p.y) * math.cos(p.yaw)
+        out[i, 2] = p.yaw
     return out

@@ -18,6 +18,7 @@ class Stop:
     def __init__(self) -> None:
         self.signal = 0
         self.driving = False
+        self.window_closed = False
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         if self.signal or not self.driving:
@@ -26,8 +27,10 @@ class Stop:
 
     @property
     def words(self) -> str:
-        """What stopped the run."""
-        return f"stopped by {signal.Signals(self.signal).name}"
+        """What stopped the run; "" when nothing did."""
+        if self.window_closed:
+            return "stopped as SUMO's window was closed"
+        return f"stopped by {signal.Signals(self.signal).name}" if self.signal else ""
 
 
 @contextlib.contextmanager

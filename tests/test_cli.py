@@ -1,7 +1,9 @@
 """The command line answers at once, shows what there is, and tells mistakes in one sentence."""
 
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -17,9 +19,9 @@ PLAIN = {key: value for key, value in os.environ.items() if key not in ("FORCE_C
 WIDE = PLAIN | {"COLUMNS": "200", "CI": "1"}
 
 
-def emran_sumo(*words: str, **more) -> subprocess.CompletedProcess:
+def emran_sumo(*words: str, display: str = "", **more) -> subprocess.CompletedProcess:
     command = [sys.executable, "-c", "from emran_sumo.cli import main; main()", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, env=WIDE, **more)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, env=WIDE | {"DISPLAY": display}, **more)
 
 
 def test_help_answers_at_once():
@@ -161,3 +163,29 @@ def test_a_run_that_diverges_is_a_result_and_no_mistake(tmp_path):
     done = emran_sumo(*words, "--duration", "30", "--no-record", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert ": diverged, the controller lost the car after" in done.stdout
+
+
+def test_the_viewer_that_finds_no_display_says_so_and_the_run_stays(tmp_path):
+    if sys.platform != "linux":
+        pytest.skip("a window needs no display variable there")
+    options = ("--duration", "0.2", "--density", "1", "--view", "--out", str(tmp_path))
+    done = emran_sumo("run", "highway_dlc", *options)
+    assert done.returncode == 2
+    assert done.stderr.startswith("emran-sumo: --view: the Rerun viewer did not open: ")
+    assert (tmp_path / "highway_dlc" / "coupled-emran-seed1" / "run.rrd").stat().st_size > 0
+
+
+@pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Debian's xvfb")
+def test_sumos_own_window_follows_the_ego_in_real_time_and_closes(tmp_path):
+    with subprocess.Popen(["Xvfb", "-displayfd", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
+        try:
+            assert server.stdout is not None
+            display = f":{int(server.stdout.readline())}"
+            options = ("--duration", "2", "--density", "1", "--sumo-gui", "--no-record", "--out", str(tmp_path))
+            done = emran_sumo("run", "highway_dlc", *options, display=display)
+        finally:
+            server.terminate()
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "highway_dlc" / "coupled-emran-seed1" / "summary.json").read_text())
+    assert summary["ended"] == "finished"
+    assert 0.7 < summary["metrics"]["run"]["real_time_factor"] < 1.02

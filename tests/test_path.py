@@ -151,14 +151,14 @@ def test_path_to_the_left_is_a_positive_error_in_every_direction(bench):
         assert tracking_errors(p, x, y, yaw + 2 * math.pi - 0.2)[1] == pytest.approx(0.2)
 
 
-def test_projected_points_keep_position_and_offset(bench):
+def test_projected_points_keep_position_offset_and_the_direction_of_the_path(bench):
     path = bench.circle(200.0, 400.0)
     rng = np.random.default_rng(0)
     position, offset = rng.uniform(60.0, 340.0, 50), rng.uniform(-8.0, 8.0, 50)
     x = (200.0 - offset) * np.sin(position / 200.0)
     y = 200.0 - (200.0 - offset) * np.cos(position / 200.0)
     found = project(path, x, y, 200.0, 160.0)
-    np.testing.assert_allclose(found, np.column_stack((position, offset)), atol=1e-5)
+    np.testing.assert_allclose(found, np.column_stack((position, offset, position / 200.0)), atol=1e-5)
 
 
 # ---------------------------------------------------------------- made paths

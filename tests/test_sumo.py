@@ -13,9 +13,10 @@ import pytest
 from emran_sumo import drive, opening, scenario
 from emran_sumo.errors import UserError
 from emran_sumo.plant.vehicle import VehicleParams
+from emran_sumo.world.phantom import PREFIX as PHANTOM
 from emran_sumo.world.records import Pose
 from emran_sumo.world.session import scenario_options
-from emran_sumo.world.sumo import PHANTOM, SumoWorld
+from emran_sumo.world.sumo import SumoWorld
 
 LINE = Path(__file__).parent / "data" / "line.net.xml"  # 1 km at 30 m/s, then 1 km at 15 m/s, three lanes of 3.2 m
 STEP = 0.05

@@ -2,7 +2,7 @@
 
 import libsumo
 
-from emran_sumo.world.sumo import PHANTOM
+from emran_sumo.world import phantom
 
 PERIOD = 1.0  # s between two looks
 
@@ -30,7 +30,7 @@ class Flow:
             self._vehicles += n
             self._speeds += n * libsumo.edge.getLastStepMeanSpeed(name)
         for name in libsumo.vehicle.getIDList():
-            if name.startswith(PHANTOM):
+            if name.startswith(phantom.PREFIX):
                 self._vehicles -= 1
                 self._speeds -= libsumo.vehicle.getSpeed(name)
         self._looks += 1

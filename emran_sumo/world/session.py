@@ -1,6 +1,7 @@
 """Starting SUMO in this process, and its own words when something is wrong."""
 
 import contextlib
+import math
 import os
 import re
 import socket
@@ -9,10 +10,14 @@ import tempfile
 from pathlib import Path
 
 import libsumo
+import numpy as np
 
 from emran_sumo.errors import UserError
 
 _UNKNOWN_OPTION = re.compile(r"No option with the name '([^']+)' exists")
+KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
+VIEW = "View #0"  # SUMO's name of the first view of its window
+CLOSE_UP = 200.0  # m of road across that view
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -66,7 +71,7 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[s
             if key not in unknown:
                 command += [f"--{key}", value]
         if gui:
-            command += ["--start", "--quit-on-end", "--delay", f"{step * 1000:g}"]
+            command += ["--start", "--quit-on-end"]
         with messages() as read:
             try:
                 libsumo.start(command)
@@ -78,6 +83,30 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[s
         if refused is None or refused[1] in unknown or refused[1] not in options:
             raise UserError(f"SUMO cannot start with {options['net-file']}: {one_line(reason)}")
         unknown.append(refused[1])
+
+
+def move(vehicle: str, x: float, y: float, yaw: float) -> None:
+    """Put the front bumper of a vehicle at (x, y) [m] with `yaw` [rad], exactly, when the step ends."""
+    angle = (90.0 - math.degrees(yaw)) % 360.0
+    libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, KEEP_ROUTE_EXACT)
+
+
+def close() -> None:
+    """Close SUMO; raises what libsumo raises.
+
+    The thread of SUMO's own window ends only with a further event of the display: a new view brings some.
+    """
+    if libsumo.hasGUI():
+        libsumo.gui.addView("closing")
+    libsumo.close()
+
+
+def show(vehicle: str) -> None:
+    """Let SUMO's own window, where there is one, follow a vehicle if it follows none yet."""
+    if libsumo.hasGUI() and not libsumo.gui.getTrackedVehicle(VIEW):
+        libsumo.gui.trackVehicle(VIEW, vehicle)
+        corners = np.array(libsumo.simulation.getNetBoundary())
+        libsumo.gui.setZoom(VIEW, 100.0 * float(np.ptp(corners, axis=0).max()) / CLOSE_UP)
 
 
 def _check_display() -> None:

@@ -11,7 +11,8 @@ import libsumo
 import numpy as np
 
 from emran_sumo.path import Path
-from emran_sumo.world import braking, session
+from emran_sumo.world import braking, phantom, session
+from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
@@ -19,8 +20,6 @@ from emran_sumo.world.session import SUMO_ERRORS, told
 
 SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
-PHANTOM = "emran_sumo.phantom."  # holds the second lane while the ego's body overlaps it
-KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
 LEFT, RIGHT = 2, 4  # bits of a lane change wish
@@ -56,7 +55,7 @@ class SumoWorld:
         self._pending = False
         self._closed = False
         self._sizes: dict[str, tuple[float, float, float]] = {}
-        self._phantoms: set[str] = set()
+        self._phantoms = Phantoms()
         self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
         self._lags: dict[str, float] = {}
@@ -108,11 +107,11 @@ class SumoWorld:
 
     def present(self) -> tuple[str, ...]:
         """Vehicles on the road."""
-        return tuple(name for name in libsumo.vehicle.getIDList() if not name.startswith(PHANTOM))
+        return phantom.real(libsumo.vehicle.getIDList())
 
     def departed(self) -> tuple[str, ...]:
         """Vehicles that have come in the last step."""
-        return tuple(name for name in libsumo.simulation.getDepartedIDList() if not name.startswith(PHANTOM))
+        return phantom.real(libsumo.simulation.getDepartedIDList())
 
     def expected(self) -> int:
         """Vehicles on the road or still to come."""
@@ -153,6 +152,7 @@ class SumoWorld:
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
         seen = [libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED]
+        session.show(ego)
         vehicle.subscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT, seen)
         lane = vehicle.getLaneID(ego)
         edge, index = libsumo.lane.getEdgeID(lane), vehicle.getLaneIndex(ego)
@@ -213,7 +213,7 @@ class SumoWorld:
                 continue
             if not state & BLOCKED:
                 return Intent(speed, side)
-            if state & STRATEGIC and PHANTOM + ego not in self._phantoms:
+            if state & STRATEGIC and ego not in self._phantoms:
                 speed = min(speed, braking.speed_for_room(ego, self.step))
         return Intent(speed)
 
@@ -244,8 +244,7 @@ class SumoWorld:
                     continue
                 speed = max(pose.speed, 0.0)
                 libsumo.vehicle.setPreviousSpeed(ego, speed, pose.accel)
-                if PHANTOM + ego in self._phantoms:
-                    libsumo.vehicle.setPreviousSpeed(PHANTOM + ego, speed, pose.accel)
+                self._phantoms.set_speed(ego, speed, pose.accel)
 
     def ask_for_room(self, ego: str, side: int) -> None:
         """Let SUMO look for a gap in the lane beside (side +1 left, -1 right, 0 no more): it adapts the ego's speed
@@ -268,30 +267,11 @@ class SumoWorld:
         """
         lane = self._overlapped(ego, pose)
         bumper = self._bumper(ego, pose)
-        _move(ego, *bumper, pose.yaw)
-        phantom = PHANTOM + ego
+        session.move(ego, *bumper, pose.yaw)
         if lane is None:
-            self._drop_phantom(phantom)
-            return
-        if phantom not in self._phantoms:
-            self._add_phantom(ego, phantom)
-        beside = self.map.beside(lane, *bumper)
-        _move(phantom, beside.x, beside.y, beside.yaw)
-
-    def _add_phantom(self, ego: str, phantom: str) -> None:
-        vehicle = libsumo.vehicle
-        # the ego's own copy of its type ("type@ego") dies with the first vehicle that has it: take the original
-        vehicle.add(phantom, "", vehicle.getTypeID(ego).partition("@")[0])
-        vehicle.setRoute(phantom, vehicle.getRoute(ego)[vehicle.getRouteIndex(ego) :])
-        vehicle.setLaneChangeMode(phantom, LANE_CHANGE_OURS)
-        vehicle.setActionStepLength(phantom, self.step)
-        self._phantoms.add(phantom)
-
-    def _drop_phantom(self, phantom: str) -> None:
-        if phantom in self._phantoms:
-            self._phantoms.remove(phantom)
-            with contextlib.suppress(*SUMO_ERRORS):
-                libsumo.vehicle.remove(phantom)
+            self._phantoms.drop(ego)
+        else:
+            self._phantoms.place(ego, self.map.beside(lane, *bumper), self.step)
 
     def _overlapped(self, ego: str, pose: Pose) -> str | None:
         """The lane beside its own that the body reaches into at `pose`, or None.
@@ -325,7 +305,7 @@ class SumoWorld:
     def neighbors(self, ego: str) -> Traffic:
         """Traffic within SIGHT of the ego, without the ego and the phantoms."""
         seen = libsumo.vehicle.getContextSubscriptionResults(ego)
-        ids = [name for name in seen if name != ego and not name.startswith(PHANTOM)]
+        ids = [name for name in seen if name != ego and not name.startswith(phantom.PREFIX)]
         if not ids:
             return NOBODY
         raw = np.array(
@@ -346,7 +326,10 @@ class SumoWorld:
 
     def knows(self, ego: str) -> bool:
         """Whether SUMO still has the vehicle; off the road it has it too."""
-        return ego in libsumo.vehicle.getIDList()
+        try:
+            return libsumo.vehicle.getRouteIndex(ego) >= 0  # far cheaper than the list of all
+        except SUMO_ERRORS:
+            return False
 
     def arrived(self, ego: str) -> bool:
         """Whether the ego is at the end of its route: SUMO itself removes no vehicle that is moved from outside."""
@@ -363,7 +346,7 @@ class SumoWorld:
 
     def release(self, ego: str) -> None:
         """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
-        self._drop_phantom(PHANTOM + ego)
+        self._phantoms.drop(ego)
         with contextlib.suppress(*SUMO_ERRORS):
             # SUMO would look around a vehicle that it has no more, and stop
             libsumo.vehicle.unsubscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT)
@@ -373,7 +356,7 @@ class SumoWorld:
         """Colliding pairs that SUMO reports for the last step, without phantoms."""
         found = libsumo.simulation.getCollisions()
         pairs = [(c.collider, c.victim) for c in found]
-        return [pair for pair in pairs if not any(name.startswith(PHANTOM) for name in pair)]
+        return [pair for pair in pairs if not any(name.startswith(phantom.PREFIX) for name in pair)]
 
     def vehicle_count(self) -> int:
         """Vehicles on the road, without phantoms."""
@@ -392,9 +375,4 @@ class SumoWorld:
             if self._pending:
                 libsumo.simulation.step()
         with contextlib.suppress(*SUMO_ERRORS):
-            libsumo.close()
-
-
-def _move(vehicle: str, x: float, y: float, yaw: float) -> None:
-    angle = (90.0 - math.degrees(yaw)) % 360.0
-    libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, KEEP_ROUTE_EXACT)
+            session.close()

@@ -4,8 +4,8 @@ import contextlib
 
 import libsumo
 
+from emran_sumo.world import phantom
 from emran_sumo.world.session import SUMO_ERRORS
-from emran_sumo.world.sumo import PHANTOM
 
 REACH = 100.0  # m behind the ego
 
@@ -22,7 +22,7 @@ class Wake:
         """Note the present follower after a step."""
         with contextlib.suppress(*SUMO_ERRORS):
             name, _ = libsumo.vehicle.getFollower(self._ego, REACH)
-            if not name or name.startswith(PHANTOM):
+            if not name or name.startswith(phantom.PREFIX):
                 return
             self._hardest = max(self._hardest, -libsumo.vehicle.getAcceleration(name))
             lost = libsumo.vehicle.getTimeLoss(name)
