@@ -39,6 +39,10 @@ BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahea
 CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
 SETTING_OFF, SETTING_OFF_ACCEL = 3.0, 0.5  # m/s, m/s2
 LEAD_MOST = 0.5  # m/s
+BEHIND_MOST = 0.02  # m/s
+# m/s3 that the reference may have when it brakes and when it speeds up: SUMO's wish jumps with every new leader
+HARDER, SOFTER = 20.0, 10.0
+HARD_BRAKING = 3.5  # m/s2
 TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 
@@ -105,6 +109,7 @@ class Ego:
         self._near_miss = False
         self._speed_reference = float(pose.speed)
         self._accel = 0.0
+        self._reference_accel = float(pose.accel)
         self._mirrored = Pose(pose.x, pose.y, pose.yaw, float(pose.speed), 0.0)
         rates = scenario.rates
         self._periods = round(rates.sumo_step / rates.control_step)
@@ -182,16 +187,33 @@ class Ego:
         """The profile within the step, where the world knows it, or a straight line to the wished speed."""
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
-            step, before = self.scenario.rates.sumo_step, self._speed_reference
+            step = self.scenario.rates.sumo_step
+            if self.speed - wanted.speed > HARD_BRAKING * step:
+                # SUMO wishes from the present speed on: a reference below it would take its braking for done
+                self._speed_reference = max(self._speed_reference, self.speed - BEHIND_MOST)
+            before = self._speed_reference
+            # nor may the car, when it is ahead of the reference, take the reference's catching up for SUMO's wish
+            most = before + max(wanted.speed - self.speed, 0.0)
             end = min(
-                wanted.speed + self._lead(wanted.speed, step), max(self._curve_speed(), before - CURVE_BRAKING * step)
+                wanted.speed + self._lead(wanted.speed, step),
+                most,
+                max(self._curve_speed(), before - CURVE_BRAKING * step),
             )
             end = max(end, before - self.scenario.longitudinal.decel_max * step)
+            end = max(self._softened(end, step), 0.0)
             rise = end - self._speed_reference
+            self._reference_accel = rise / step
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
         return References(self.path, self.driven, speeds, accels, noise, self._origin)
+
+    def _softened(self, end: float, step: float) -> float:
+        """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""
+        before, accel = self._speed_reference, max(self._reference_accel, -HARD_BRAKING)
+        if end > before - HARD_BRAKING * step:
+            end = max(end, before + (accel - HARDER * step) * step)
+        return min(end, before + (accel + SOFTER * step) * step)
 
     def _lead(self, wish: float, step: float) -> float:
         """How far the reference keeps ahead of a car that sets off [m/s].

@@ -18,6 +18,8 @@ CLOSING_AHEAD = 4.0  # s during which a slower leader comes closer
 CLOSING_BEHIND = 3.0  # s until a faster follower has seen the ego and brakes
 LEAST_GAP = 6.0  # m left after that, plus a time headway
 HEADWAY = 0.4  # s
+RETURN = 2.0  # s that the way back takes
+LEAST_RETURN_GAP = 1.0  # m left after that
 
 
 class DoubleLaneChange(NamedTuple):
@@ -74,18 +76,23 @@ def declared(params: dict[str, str], ego: str) -> DoubleLaneChange | None:
     )
 
 
-def maneuver_path(base: Path, change: DoubleLaneChange, begin: float, width: float) -> Path:
-    """The base path with the double lane change beginning at `begin` [m], over lanes `width` [m] apart."""
+def maneuver_path(base: Path, change: DoubleLaneChange, begin: float, width: float, back: float | None = None) -> Path:
+    """The base path with the double lane change beginning at `begin` [m], over lanes `width` [m] apart.
+
+    The way back begins `back` [m] later, else where the maneuver declares it; infinite: never.
+    """
     position = np.arange(base.x.size) * base.spacing
-    return shifted(base, *lane_change_offset(transitions(change, begin, width), position))
+    return shifted(base, *lane_change_offset(transitions(change, begin, width, back), position))
 
 
-def transitions(change: DoubleLaneChange, begin: float, width: float) -> tuple[LaneChange, LaneChange]:
-    """Out and back (Eq. 23) as functions of the position [m] along the own lane."""
-    height = change.side * width
+def transitions(
+    change: DoubleLaneChange, begin: float, width: float, back: float | None = None
+) -> tuple[LaneChange, LaneChange]:
+    """Out and back (Eq. 23) as functions of the position [m] along the own lane; `back` as in maneuver_path."""
+    height, back = change.side * width, change.back_start if back is None else back
     return (
         LaneChange(height, begin + OUT_START, change.length_out),
-        LaneChange(-height, begin + change.back_start, change.length_back),
+        LaneChange(-height, begin + back, change.length_back),
     )
 
 
@@ -109,3 +116,11 @@ def gap_is_free(change: DoubleLaneChange, others: Others, speed: float, length: 
     blocked_ahead = (beside | own) & front & (left_ahead < LEAST_GAP + HEADWAY * speed)
     blocked_behind = beside & rear & (left_behind < LEAST_GAP + HEADWAY * others.speed)
     return not np.any(blocked_ahead | blocked_behind)
+
+
+def own_lane_is_free(others: Others, speed: float, length: float, width: float) -> bool:
+    """Whether nobody in the own lane is in the way of the return, as gap_is_free."""
+    own = np.abs(others.offset) < 0.5 * width
+    gap = np.abs(others.ahead) - 0.5 * (others.length + length)
+    closing = np.where(others.ahead >= 0.0, speed - others.speed, others.speed - speed)
+    return not np.any(own & (gap - np.maximum(closing, 0.0) * RETURN < LEAST_RETURN_GAP))

@@ -16,6 +16,8 @@ from emran_sumo.world.lanes import blended
 from emran_sumo.world.records import Intent, Others, TakeOver
 
 WAITING = "waiting for a gap"
+WAITING_TO_RETURN = "waiting to return"
+DECIDE = 20.0  # m before the way back, where tanh is still flat, at which it must be free
 DURATION = 4.0  # s of a lane change
 SHORTEST = 20.0  # m of a lane change
 TIGHTEST = 10.0  # m of a lane change where the lane ends
@@ -38,6 +40,10 @@ class Lanes(Protocol):
         """Let the world make room beside the ego."""
         ...
 
+    def hold(self, ego: str, side: int) -> None:
+        """Keep the lane beside the ego free for its return."""
+        ...
+
 
 class DoubleLaneChanger:
     """Drives the declared double lane change of one ego, once, where a gap is free."""
@@ -46,6 +52,8 @@ class DoubleLaneChanger:
         self.began: float | None = None  # s after take-over
         self._change: DoubleLaneChange | None = change
         self._begin = 0.0  # position along the path [m]
+        self._back = change.back_start  # distance from there to the way back [m]; infinite while that must wait
+        self._returning = False
         free = handed.lanes_left if change.side > 0 else handed.lanes_right
         if free < 1:
             side = "left" if change.side > 0 else "right"
@@ -62,7 +70,7 @@ class DoubleLaneChanger:
         if self.began is None:
             self._try_to_begin(ego, self._change, others, lanes)
         else:
-            self._go_on(ego, self._change)
+            self._go_on(ego, self._change, others, lanes)
 
     def reroute(self, ego: Ego, lanes: Lanes) -> None:
         """The maneuver's road stays as it was planned."""
@@ -85,22 +93,44 @@ class DoubleLaneChanger:
         if ego.maneuver == WAITING:
             lanes.ask_for_room(ego.name, 0)
         self._begin, self.began = ego.state.position, ego.time
-        ego.take_path(ego.base, maneuver.maneuver_path(ego.base, change, self._begin, ego.lane_width))
+        self._take(ego, change)
         ego.enter("double lane change", f"double lane change begins at {ego.speed:.1f} m/s")
 
-    def _go_on(self, ego: Ego, change: DoubleLaneChange) -> None:
+    def _go_on(self, ego: Ego, change: DoubleLaneChange, others: Others, lanes: Lanes) -> None:
         done = ego.state.position - self._begin
-        side = "left" if change.side > 0 else "right"
-        if done > change.length:
+        is_beside = change.side * others.own_offset > 0.5 * ego.lane_width
+        lanes.hold(ego.name, -change.side if is_beside else 0)
+        if done > self._back + change.length_back + maneuver.TAIL:
             trace = ego.trace()
             errors = trace[trace[:, AT.time] > (self.began or 0.0), AT.cross_track_error]
             worst = np.abs(errors).max(initial=0.0)
             ego.enter("keep lane", f"double lane change done, largest cross-track error {worst:.3f} m")
             self._change = None
-        elif done > change.back_start - 5.0:
-            ego.enter("change right" if change.side > 0 else "change left", "back to the own lane")
+        elif self._returning:
+            return
+        elif done > min(self._back, change.back_start) - DECIDE:
+            self._return(ego, change, others, done)
         elif done > maneuver.OUT_START - 10.0:
+            side = "left" if change.side > 0 else "right"
             ego.enter(f"change {side}", f"out to the lane on the {side}")
+
+    def _return(self, ego: Ego, change: DoubleLaneChange, others: Others, done: float) -> None:
+        """Begin the way back, or stay beside until the own lane has room."""
+        free = maneuver.own_lane_is_free(others, ego.speed, ego.vehicle.length, ego.lane_width)
+        if free:
+            self._returning = True
+            if self._back > change.back_start:
+                self._back = done + DECIDE
+                self._take(ego, change)
+            ego.enter("change right" if change.side > 0 else "change left", "back to the own lane")
+        elif self._back == change.back_start:
+            self._back = math.inf
+            self._take(ego, change)
+            ego.enter(WAITING_TO_RETURN, "the own lane is taken: the way back waits", "WARN")
+
+    def _take(self, ego: Ego, change: DoubleLaneChange) -> None:
+        path = maneuver.maneuver_path(ego.base, change, self._begin, ego.lane_width, self._back)
+        ego.take_path(ego.base, path)
 
 
 class Changing(NamedTuple):

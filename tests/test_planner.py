@@ -7,8 +7,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from emran_sumo.maneuver import DoubleLaneChange
 from emran_sumo.path import Path
-from emran_sumo.planner import AT_THE_END, SPARE, TIGHTEST, LaneFollower
+from emran_sumo.planner import AT_THE_END, SPARE, TIGHTEST, WAITING_TO_RETURN, DoubleLaneChanger, LaneFollower
 from emran_sumo.world.records import Intent, Others
 
 WIDTH = 3.2
@@ -34,7 +35,8 @@ class Ego:
     def take_path(self, base: Path, path: Path) -> None:
         self.base, self.path = base, path
 
-    def enter(self, name: str, text: str) -> None:
+    def enter(self, name: str, text: str, level: str = "INFO") -> None:
+        del level
         self.maneuver = name
         self.said.append(text)
 
@@ -53,6 +55,9 @@ class Lanes:
 
     def ask_for_room(self, ego: str, side: int) -> None:
         raise AssertionError
+
+    def hold(self, ego: str, side: int) -> None:
+        self.held = side
 
 
 def begun(speed: float, room: float = math.inf) -> tuple[Any, LaneFollower, Lanes]:
@@ -120,3 +125,48 @@ def test_a_change_is_given_up_when_the_gap_closes_while_the_ego_is_in_its_own_la
     assert "abandoned" in ego.said[-1]
     assert ego.base.y[0] == 0.0
     assert ego.path.y[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+# ---------------------------------------------------------------- declared double lane change
+
+
+def out_and_there(beside: Others) -> tuple[Any, DoubleLaneChanger, Lanes]:
+    """An ego in the lane on the left, where the way back begins, with `beside` around it."""
+    ego, lanes = cast(Any, Ego(20.0)), Lanes()
+    ego.position, ego.trace = 100.0, lambda: np.zeros((0, 60))
+    handed = cast(Any, SimpleNamespace(lanes_left=1, lanes_right=0))
+    changer = DoubleLaneChanger(DoubleLaneChange(50.0, 25.0, 21.95, 1), handed, "ego")
+    changer.plan(ego, Intent(20.0), FREE, cast(Any, lanes))
+    ego.state.position = 140.0  # the way back begins at 156.46 m
+    changer.plan(ego, Intent(20.0), beside, cast(Any, lanes))
+    return ego, changer, lanes
+
+
+def offset_at(ego: Any, x: float) -> float:
+    return float(ego.path.y[int(x / 0.25)])
+
+
+IN_THE_WAY = Others(*(np.array([v]) for v in (3.0, 0.0, 18.0, 5.0, 1.8)), own_offset=WIDTH)
+AWAY = IN_THE_WAY._replace(ahead=np.array([40.0]))
+
+
+def test_way_back_of_a_double_lane_change_is_driven_where_the_own_lane_is_free():
+    ego, _, lanes = out_and_there(AWAY)
+    assert ego.maneuver == "change right"
+    assert lanes.held == -1
+    assert abs(offset_at(ego, 200.0)) < 0.02
+
+
+def test_way_back_waits_beside_whoever_has_come_into_the_own_lane_and_is_driven_after_that():
+    ego, changer, lanes = out_and_there(IN_THE_WAY)
+    assert ego.maneuver == WAITING_TO_RETURN
+    assert lanes.held == -1
+    assert [offset_at(ego, x) for x in (200.0, 900.0)] == pytest.approx([WIDTH, WIDTH], abs=0.01)
+    ego.state.position = 300.0
+    changer.plan(ego, Intent(20.0), AWAY, cast(Any, lanes))
+    assert ego.maneuver == "change right"
+    assert offset_at(ego, 302.0) == pytest.approx(WIDTH, abs=0.05)
+    assert abs(offset_at(ego, 360.0)) < 0.02
+    ego.state.position = 360.0
+    changer.plan(ego, Intent(20.0), AWAY._replace(own_offset=0.0), cast(Any, lanes))
+    assert (ego.maneuver, lanes.held) == ("keep lane", 0)

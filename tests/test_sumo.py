@@ -231,6 +231,24 @@ def test_a_faster_follower_in_the_other_lane_brakes_for_the_phantom(world):
     assert closest > 2.4  # the standing gap of its type
 
 
+@pytest.mark.parametrize(("side", "leader"), [(-1, PHANTOM + "ego"), (0, "")])
+def test_a_lane_that_the_ego_holds_keeps_its_traffic_behind_it(world, side, leader):
+    w = world(vehicle("ego", 150, 12, lane=2), vehicle("follower0", 60, 25))
+    for _ in w.warm_up(STEP):
+        pass
+    pose = w.take_over("ego", FRONT, WIDTH).pose
+    w.hold("ego", side)
+    for _ in range(10):
+        w.propose({"ego": pose})
+        pose = pose._replace(x=pose.x + 12.0 * STEP, speed=12.0)
+        w.commit({"ego": pose})
+    assert (libsumo.vehicle.getLeader("follower0", 150.0) or ("", 0.0))[0] == leader
+    w.hold("ego", 0)
+    w.propose({"ego": pose})
+    w.commit({"ego": pose})
+    assert not any(name.startswith(PHANTOM) for name in libsumo.vehicle.getIDList())
+
+
 def watch(w: SumoWorld, poses: int, broken: int = -1) -> np.ndarray:
     """Positions of everybody over some steps; at step `broken` the block is left between proposal and pose."""
     with w:

@@ -5,23 +5,30 @@ import math
 import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
+REACH_INSIDE = 40.0  # m from a junction in which places to wait inside it are looked at
 SLOW = 0.3  # m/s: below it the lag costs less than the room before the line
+CONGESTED = 60.0 / 3.6  # m/s: below it SUMO overtakes on the right as well
+LEADERS_LEFT = 2  # mode of getNeighbors
+CALM = 1.0  # s
+SPARE_SPEED = 0.1  # m/s
 STOPPED = 1  # bit of the stop state
 CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
 STOP_STATES = "ryRYu"  # of a light
 
 
-def speed_cap(ego: str, lag: float) -> float:
+def speed_cap(ego: str, lag: float, step: float) -> float:
     """Speed [m/s] at the end of the coming step with which the ego still stops where SUMO wants it to; inf if nowhere.
 
         v_stop(v, gap - lag v)                    at stops, and at closed links and lights that can be obeyed
         v_follow(v, gap - lag (v - v_lead))       behind a leader
+        v + (v_left - v) step / CALM              behind a leader on the left, if that is more than v_follow
 
     v_stop and v_follow are SUMO's own.
 
     Args:
         ego: id, at its true pose and speed.
         lag: of the brakes [s].
+        step: of SUMO [s].
     """
     vehicle = libsumo.vehicle
     lane = vehicle.getLaneID(ego)
@@ -34,7 +41,7 @@ def speed_cap(ego: str, lag: float) -> float:
     gaps += [gap for gap in (_to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
     gap = min(gaps)
     stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
-    return max(min(stop, _behind_leader(ego, speed, lag)), 0.0)
+    return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
 
 
 def _to_stop(ego: str) -> float:
@@ -57,14 +64,23 @@ def _to_light(ego: str) -> float:
 
 
 def _to_closed(ego: str, lane: str, speed: float) -> float:
-    """Distance to the end of the lane, where somebody has to be let pass there; lights are looked at elsewhere [m]."""
+    """Distance to where somebody has to be let pass: the end of the lane, or the place to wait inside the junction
+    behind it; lights are looked at elsewhere [m]."""
     if speed < SLOW:
         return math.inf
     links = libsumo.lane.getLinks(lane) if lane.startswith(":") else libsumo.vehicle.getNextLinks(ego)
-    # hasPrio, isOpen, hasFoe, ..., state
-    if not links or links[0][2] or links[0][5] in STOP_STATES:
+    if not links:
         return math.inf
-    return libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
+    left = libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
+    # hasPrio, isOpen, hasFoe, internal lane, state
+    _, _, is_open, _, inside, state, *_ = links[0]
+    if not is_open and state not in STOP_STATES:
+        return left
+    if not inside or left > REACH_INSIDE:
+        return math.inf
+    further = libsumo.lane.getLinks(inside)
+    waits = further and further[0][4] and not further[0][2]
+    return left + libsumo.lane.getLength(inside) if waits else math.inf
 
 
 def _behind_leader(ego: str, speed: float, lag: float) -> float:
@@ -75,6 +91,25 @@ def _behind_leader(ego: str, speed: float, lag: float) -> float:
     ahead = vehicle.getSpeed(name)
     room = max(gap - lag * max(speed - ahead, 0.0), 0.0)
     return max(vehicle.getFollowSpeed(ego, speed, room, ahead, vehicle.getDecel(name), name), 0.0)
+
+
+def _beside_slower(ego: str, speed: float, lag: float, step: float) -> float:
+    """Speed [m/s] that comes gently to that of a slower leader on the left.
+
+    Above 60 km/h SUMO does not overtake on the right: it brakes while the ego is the faster one and speeds up while it
+    is the slower one, between which a car whose drive answers with a lag swings.
+    """
+    vehicle = libsumo.vehicle
+    if speed < CONGESTED:
+        return math.inf
+    found = vehicle.getNeighbors(ego, LEADERS_LEFT)
+    if not found:
+        return math.inf
+    name, gap = found[0]
+    ahead = vehicle.getSpeed(name)
+    room = max(gap - lag * max(speed - ahead, 0.0), 0.0)
+    safe = vehicle.getFollowSpeed(ego, speed, room, ahead, vehicle.getDecel(name), name)
+    return max(safe, speed + (ahead - SPARE_SPEED - speed) * step / CALM)
 
 
 def room(ego: str) -> float:

@@ -56,6 +56,7 @@ class SumoWorld:
         self._closed = False
         self._sizes: dict[str, tuple[float, float, float]] = {}
         self._phantoms = Phantoms()
+        self._held: dict[str, int] = {}
         self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
         self._lags: dict[str, float] = {}
@@ -190,7 +191,10 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {ego: braking.speed_cap(ego, self._lags[ego]) if self.knows(ego) else math.inf for ego in poses}
+            caps = {
+                ego: braking.speed_cap(ego, self._lags[ego], self.step) if self.knows(ego) else math.inf
+                for ego in poses
+            }
             for ego, pose in poses.items():
                 if not self.knows(ego):
                     continue
@@ -256,6 +260,10 @@ class SumoWorld:
             libsumo.vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT)
             libsumo.vehicle.changeLane(ego, libsumo.vehicle.getLaneIndex(ego) + side, 1e6)
 
+    def hold(self, ego: str, side: int) -> None:
+        """Hold the lane beside the ego's (side +1 left, -1 right, 0 none), as if the body were there too."""
+        self._held[ego] = side
+
     def _bumper(self, ego: str, pose: Pose) -> tuple[float, float]:
         front = self._fronts[ego]
         return pose.x + front * math.cos(pose.yaw), pose.y + front * math.sin(pose.yaw)
@@ -274,22 +282,23 @@ class SumoWorld:
             self._phantoms.place(ego, self.map.beside(lane, *bumper), self.step)
 
     def _overlapped(self, ego: str, pose: Pose) -> str | None:
-        """The lane beside its own that the body reaches into at `pose`, or None.
+        """The lane beside its own that the body reaches into at `pose`, or that it holds; or None.
 
         SUMO puts a vehicle on the lane that holds the center of its front bumper.
         """
         lane = self.lane_of(ego)
         if not lane or lane.startswith(":"):
             return None
+        held = self.map.neighbor(lane, self._held[ego]) if self._held.get(ego) else None
         half = 0.5 * libsumo.lane.getWidth(lane)
         if abs(libsumo.vehicle.getLateralLanePosition(ego)) + 0.5 * self._widths[ego] + SIDE_STEP < half:
-            return None  # well inside at the last step: spare the search for the nearest point
+            return held  # well inside at the last step: spare the search for the nearest point
         offset = self.map.beside(lane, *self._bumper(ego, pose)).offset
         if abs(offset) > half:
             # the bumper crosses into the next lane: the body is still here
             return lane if self.map.neighbor(lane, 1 if offset > 0 else -1) else None
         if abs(offset) + 0.5 * self._widths[ego] <= half:
-            return None
+            return held
         return self.map.neighbor(lane, 1 if offset > 0 else -1)
 
     def mirror_error(self, ego: str, pose: Pose) -> float:

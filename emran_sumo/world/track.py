@@ -168,6 +168,9 @@ class TrackWorld:
     def ask_for_room(self, ego: str, side: int) -> None:
         """Nobody to ask."""
 
+    def hold(self, ego: str, side: int) -> None:
+        """Nobody to keep out."""
+
     def lane_path(self, ego: str, side: int) -> Path | None:
         """There is no other lane."""
         del ego, side
