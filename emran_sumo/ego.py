@@ -7,6 +7,7 @@ import numpy as np
 
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
+from emran_sumo.encounters import Encounters, body
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
 from emran_sumo.path import Path, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
@@ -39,7 +40,7 @@ BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahea
 CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
 SETTING_OFF, SETTING_OFF_ACCEL = 3.0, 0.5  # m/s, m/s2
 LEAD_MOST = 0.5  # m/s
-BEHIND_MOST = 0.02  # m/s
+BEHIND_MOST = 0.5  # m/s
 # m/s3 that the reference may have when it brakes and when it speeds up: SUMO's wish jumps with every new leader
 HARDER, SOFTER = 20.0, 10.0
 HARD_BRAKING = 3.5  # m/s2
@@ -106,6 +107,7 @@ class Ego:
         self.frames: list[np.ndarray] = []
         self.collided: set[str] = set()
         self.lead = metrics.NO_LEAD
+        self.encounters = Encounters()
         self._near_miss = False
         self._speed_reference = float(pose.speed)
         self._accel = 0.0
@@ -188,19 +190,18 @@ class Ego:
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
             step = self.scenario.rates.sumo_step
-            if self.speed - wanted.speed > HARD_BRAKING * step:
-                # SUMO wishes from the present speed on: a reference below it would take its braking for done
-                self._speed_reference = max(self._speed_reference, self.speed - BEHIND_MOST)
             before = self._speed_reference
-            # nor may the car, when it is ahead of the reference, take the reference's catching up for SUMO's wish
-            most = before + max(wanted.speed - self.speed, 0.0)
+            # SUMO wishes from the present speed on: neither may a reference below it take hard braking for done, nor
+            # may one above it take its own catching up for SUMO's wish
+            change = wanted.speed - self.speed
+            most = before + (change if change < -HARD_BRAKING * step else max(change, 0.0))
             end = min(
                 wanted.speed + self._lead(wanted.speed, step),
                 most,
                 max(self._curve_speed(), before - CURVE_BRAKING * step),
             )
             end = max(end, before - self.scenario.longitudinal.decel_max * step)
-            end = max(self._softened(end, step), 0.0)
+            end = max(self._softened(end, step), self.speed + change - BEHIND_MOST, 0.0)
             rise = end - self._speed_reference
             self._reference_accel = rise / step
             speeds = self._speed_reference + rise * self._shares
@@ -301,17 +302,20 @@ class Ego:
             )
         self._near_miss = near
 
+    def _note_encounter(self, own: metrics.Box, traffic: Traffic) -> None:
+        before, found = self.encounters.least, self.encounters.look(self.time, own, traffic)
+        if found < before and found < metrics.CONFLICT_PET:
+            self.say("WARN", f"crossed {found:.1f} s after or before another vehicle at the same place")
+
     def _find_collisions(self, traffic: Traffic) -> None:
         car, v = self.state.vehicle, self.vehicle
         center = self._center_ahead()
         x, y = car.x + center * math.cos(car.yaw), car.y + center * math.sin(car.yaw)
         own = metrics.Box(x, y, car.yaw, v.length, v.width)
+        self._note_encounter(own, traffic)
         near = np.flatnonzero(np.hypot(traffic.x - x, traffic.y - y) < 0.5 * (v.length + traffic.length) + v.width)
         for k in near:
-            other = metrics.Box(
-                *(float(a[k]) for a in (traffic.x, traffic.y, traffic.yaw, traffic.length, traffic.width))
-            )
-            name = traffic.ids[k]
+            name, other = traffic.ids[k], body(traffic, int(k))
             if metrics.boxes_overlap(own, other) and name not in self.collided:
                 self.collided.add(name)
                 self.say(

@@ -7,7 +7,9 @@ import numpy as np
 
 from emran_sumo.loop import AT
 
-CONFLICT_TTC = 3.0  # s, threshold of SUMO's SSM device
+# thresholds of a conflict, those of SUMO's SSM device
+CONFLICT_TTC, CONFLICT_DRAC, CONFLICT_PET = 3.0, 3.0, 2.0  # s, m/s2, s
+MOVING = 1.0  # m/s: slower, a time headway says nothing
 
 
 class Box(NamedTuple):
@@ -41,6 +43,30 @@ def tracking(trace: np.ndarray) -> dict[str, float]:
         found[f"{name}_rms"] = rms(values)
         found[f"{name}_max"] = largest(values)
     return found
+
+
+def safety(trace: np.ndarray, gap: np.ndarray, ttc: np.ndarray, drac: np.ndarray) -> dict[str, float | int | None]:
+    """Least time to collision [s], time headway [s] and gap [m], largest deceleration to avoid a crash [m/s2], and
+    conflicts: how often the first or the last passed its threshold; None where nobody was ahead. Arrays (n,)."""
+    speed = trace[:, AT.speed_long]
+    headway = gap[speed > MOVING] / speed[speed > MOVING]
+    return {
+        "time_to_collision_min": _least(ttc),
+        "time_headway_min": _least(headway),
+        "gap_min": _least(gap),
+        "deceleration_to_avoid_max": largest(drac),
+        "conflicts": _episodes((ttc < CONFLICT_TTC) | (drac > CONFLICT_DRAC)),
+    }
+
+
+def _least(values: np.ndarray) -> float | None:
+    low = values.min(initial=math.inf)
+    return float(low) if math.isfinite(low) else None
+
+
+def _episodes(flags: np.ndarray) -> int:
+    """How often a flag was raised."""
+    return int(np.count_nonzero(flags[1:] & ~flags[:-1]) + np.count_nonzero(flags[:1]))
 
 
 def comfort(trace: np.ndarray) -> dict[str, float]:

@@ -23,6 +23,9 @@ def rows(summary: dict[str, Any]) -> list[Row]:
         _pair("tracking", "heading error", tracking, "heading_error", "deg", 3, degrees),
         _pair("tracking", "speed error", tracking, "speed_error", "m/s", 4),
         Row("safety", "least time to collision", _number(safety["time_to_collision_min"], "s", 1)),
+        Row("safety", "least time headway", _number(safety["time_headway_min"], "s", 1)),
+        Row("safety", "least post-encroachment time", _number(safety["post_encroachment_time_min"], "s", 1)),
+        Row("safety", "conflicts (TTC < 3 s, DRAC > 3 m/s²)", str(safety["conflicts"])),
         Row("safety", "least gap ahead", _number(safety["gap_min"], "m", 1)),
         Row("safety", "collisions of the ego", str(safety["collisions"])),
         Row("safety", "collisions of others", str(safety["collisions_of_others"])),
@@ -77,6 +80,7 @@ def summary_markdown(summary: dict[str, Any]) -> str:
         ("heading RMS", f"{math.degrees(t['heading_error_rms']):.2f}°"),
         ("speed RMS", f"{t['speed_error_rms']:.3f} m/s"),
         ("min TTC", ttc),
+        ("collisions", str(s["collisions"])),
         ("neurons steer + speed", neurons),
     )
     head = " | ".join(name for name, _ in cells)

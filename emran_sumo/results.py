@@ -59,16 +59,13 @@ def _measure(host: Any, driven: Any) -> dict[str, dict[str, Any]]:
     columns = {name: trace[:, i] for i, name in enumerate(COLUMNS)}
     moving = trace[-1:, AT.time].sum()
 
-    def least(name: str) -> float | None:
-        low = columns[name].min(initial=math.inf)
-        return float(low) if math.isfinite(low) else None
-
+    lead = (columns[name] for name in ("lead_gap", "time_to_collision", "deceleration_to_avoid"))
+    encounter = ego.encounters.least
     return {
         "tracking": metrics.tracking(trace),
         "safety": {
-            "time_to_collision_min": least("time_to_collision"),
-            "gap_min": least("lead_gap"),
-            "deceleration_to_avoid_max": metrics.largest(columns["deceleration_to_avoid"]),
+            **metrics.safety(trace, *lead),
+            "post_encroachment_time_min": encounter if math.isfinite(encounter) else None,
             "collisions": len(ego.collided),
             "collisions_of_others": len(tally.crashes),
         },

@@ -11,7 +11,7 @@ FLOORS = (
     "plant path",
     "control",
     "loop conditioning",
-    "world recording metrics maneuver scenario",
+    "world recording metrics encounters maneuver scenario viewer",
     "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
     "study",
     "terminal cli_study cli",

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from emran_sumo.loop import AT, new_trace
+from emran_sumo import metrics
+from emran_sumo.loop import AT, WIDTH, new_trace
 from emran_sumo.metrics import NO_LEAD, Box, boxes_overlap, comfort, effort, largest, lead, networks, rms, tracking
 
 
@@ -198,3 +199,29 @@ def test_overlap_does_not_depend_on_the_direction_one_looks_from(a, b, turn):
         return box._replace(x=box.x * c - box.y * s, y=box.x * s + box.y * c, yaw=box.yaw + turn)
 
     assert boxes_overlap(turned(a), turned(b)) == boxes_overlap(a, b)
+
+
+# ---------------------------------------------------------------- safety of a run
+
+
+def test_least_values_and_conflicts_of_a_run_are_those_of_its_series():
+    trace = np.zeros((6, WIDTH))
+    trace[:, AT.speed_long] = (10.0, 10.0, 0.5, 10.0, 10.0, 10.0)
+    gap = np.array([20.0, 15.0, 1.0, 30.0, math.inf, 12.0])
+    ttc = np.array([2.9, 2.0, 3.1, 2.5, math.inf, 5.0])
+    drac = np.array([0.0, 1.0, 3.1, 0.5, 0.0, 2.0])
+    found = metrics.safety(trace, gap, ttc, drac)
+    assert found["time_to_collision_min"] == 2.0
+    assert found["time_headway_min"] == 1.2  # 12 m at 10 m/s; the car that hardly moves does not count
+    assert found["gap_min"] == 1.0
+    assert found["deceleration_to_avoid_max"] == 3.1
+    assert found["conflicts"] == 1  # one that lasts four samples
+    ttc[1], drac[2] = 4.0, 0.0
+    assert metrics.safety(trace, gap, ttc, drac)["conflicts"] == 2
+
+
+def test_a_run_without_anybody_ahead_has_no_least_values():
+    nobody = np.full(3, math.inf)
+    found = metrics.safety(np.zeros((3, WIDTH)), nobody, nobody, np.zeros(3))
+    assert [found[key] for key in ("time_to_collision_min", "time_headway_min", "gap_min")] == [None] * 3
+    assert found["conflicts"] == 0

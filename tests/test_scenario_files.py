@@ -60,16 +60,17 @@ def drive(name: str, duration: float, seed: int = 1) -> Seen:
     network = locate.folder("networks") / values.network / f"{values.network}.net.xml"
     routes = [located.folder / file for file in values.routes]
     limit = values.road.speed_limit or main_limit(network)
+    ego = values.ego or "ego"
     with tempfile.TemporaryDirectory() as folder:
         traffic = Path(folder) / "traffic.rou.xml"
-        write_demand(traffic, network, routes, values.traffic, limit, seed, departures(routes, [values.ego], limit))
+        write_demand(traffic, network, routes, values.traffic, limit, seed, departures(routes, [ego], limit))
         files = {"net-file": network, "route-files": ",".join(map(str, [*routes, traffic])), "seed": seed}
         options = [word for key, value in (OPTIONS | files).items() for word in (f"--{key}", str(value))]
         libsumo.start(["sumo", *options])
         try:
             if values.road.speed_limit:
                 limit_main_lanes(values.road.speed_limit)
-            return watch(values.ego, values.warm_up, duration)
+            return watch(ego, values.warm_up, duration)
         finally:
             libsumo.close()
 
