@@ -32,6 +32,7 @@ from emran_sumo.world.track import TrackWorld
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
+OFF_ROUTE_MOST = 0.5  # s after which SUMO may find it beside its route
 OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
 WAIT_FOR_DEPARTURE = 300.0  # s after the warm-up in which the ego of a scenario must appear
 
@@ -279,6 +280,8 @@ class Host:
         error = world.mirror_error(name, ego.pose)
         lane = world.lane_of(name)
         self._off_road[name] = 0 if lane else self._off_road.get(name, 0) + 1
+        if isinstance(world, SumoWorld) and self._off_road[name] * world.step > OFF_ROUTE_MOST and world.knows(name):
+            world.search(name)
         if lane:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY

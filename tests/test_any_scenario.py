@@ -163,6 +163,29 @@ def test_a_changed_route_is_followed(tmp_path):
     assert abs(way.x[-1]) < 5.0
 
 
+def test_who_is_off_its_route_is_found_and_led_to_its_destination(tmp_path):
+    file = written(tmp_path / "user", [ego("b1.b2 b2.b3")])
+    with opening(scenario.load(str(file)))(file.parent, False) as w:
+        assert isinstance(w, SumoWorld)
+        while "ego" not in w.present():
+            w.advance()
+        pose = w.take_over("ego", 2.0, 1.85).pose
+        x, y = np.mean(libsumo.lane.getShape("a2.b2_0"), axis=0)
+        pose = pose._replace(x=float(x), y=float(y), yaw=0.0, speed=5.0)
+        for searches in (False, True):
+            w.propose({"ego": pose})
+            if searches:
+                w.search("ego")
+            w.commit({"ego": pose})
+            assert w.lane_of("ego") == ("a2.b2_0" if searches else "")
+        assert w.mirror_error("ego", pose) < 1e-6
+        route = libsumo.vehicle.getRoute("ego")
+        assert (route[0], route[-1]) == ("a2.b2", "b2.b3")
+        w.propose({"ego": pose})
+        w.commit({"ego": pose})
+        assert w.lane_of("ego") == "a2.b2_0"
+
+
 def test_waiting_longer_than_others_may_takes_no_ego_from_the_road(tmp_path):
     stands = vehicle("stands", "c3.d3 d3.east3", 100, inside='<stop lane="c3.d3_0" endPos="120" duration="60"/>')
     options = '<time-to-teleport value="10"/>'

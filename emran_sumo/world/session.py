@@ -15,7 +15,7 @@ import numpy as np
 from emran_sumo.errors import UserError
 
 _UNKNOWN_OPTION = re.compile(r"No option with the name '([^']+)' exists")
-KEEP_ROUTE_EXACT = 3  # moveToXY: keep the route and take the pose as it is
+KEEP_ROUTE, EXACT = 1, 2  # bits of moveToXY: stay on the route; take the pose as it is
 VIEW = "View #0"  # SUMO's name of the first view of its window
 CLOSE_UP = 200.0  # m of road across that view
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -85,10 +85,13 @@ def start(options: dict[str, str], step: float, seed: int, gui: bool) -> tuple[s
         unknown.append(refused[1])
 
 
-def move(vehicle: str, x: float, y: float, yaw: float) -> None:
-    """Put the front bumper of a vehicle at (x, y) [m] with `yaw` [rad], exactly, when the step ends."""
+def move(vehicle: str, x: float, y: float, yaw: float, keep_route: bool = True) -> None:
+    """Put the front bumper of a vehicle at (x, y) [m] with `yaw` [rad], exactly, when the step ends.
+
+    keep_route: only on the edges of its route; else on any lane there, which becomes the begin of its route.
+    """
     angle = (90.0 - math.degrees(yaw)) % 360.0
-    libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, KEEP_ROUTE_EXACT)
+    libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, EXACT | KEEP_ROUTE if keep_route else EXACT)
 
 
 def close() -> None:

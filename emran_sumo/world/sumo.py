@@ -57,6 +57,7 @@ class SumoWorld:
         self._sizes: dict[str, tuple[float, float, float]] = {}
         self._phantoms = Phantoms()
         self._held: dict[str, int] = {}
+        self._searched: dict[str, str] = {}  # off-road egos and where they want to go
         self._fronts: dict[str, float] = {}
         self._widths: dict[str, float] = {}
         self._lags: dict[str, float] = {}
@@ -235,6 +236,10 @@ class SumoWorld:
         """Whether the ego is on the last edge of its route."""
         return libsumo.vehicle.getRouteIndex(ego) == len(libsumo.vehicle.getRoute(ego)) - 1
 
+    def search(self, ego: str) -> None:
+        """Let SUMO find an ego that is off its route on any lane, and lead it from there to its destination."""
+        self._searched.setdefault(ego, libsumo.vehicle.getRoute(ego)[-1])
+
     def commit(self, poses: dict[str, Pose]) -> None:
         """Write the true poses of the egos at the end of the step back and finish the step."""
         with told():
@@ -246,9 +251,17 @@ class SumoWorld:
             for ego, pose in poses.items():
                 if not self.lane_of(ego):
                     continue
+                self._lead_on(ego)
                 speed = max(pose.speed, 0.0)
                 libsumo.vehicle.setPreviousSpeed(ego, speed, pose.accel)
                 self._phantoms.set_speed(ego, speed, pose.accel)
+
+    def _lead_on(self, ego: str) -> None:
+        """A searched ego is on a lane again: from there to where it wanted."""
+        destination = self._searched.pop(ego, "")
+        if destination and libsumo.vehicle.getRoute(ego)[-1] != destination:
+            with contextlib.suppress(*SUMO_ERRORS):  # there may be no way: then the new route's end is the end
+                libsumo.vehicle.changeTarget(ego, destination)
 
     def ask_for_room(self, ego: str, side: int) -> None:
         """Let SUMO look for a gap in the lane beside (side +1 left, -1 right, 0 no more): it adapts the ego's speed
@@ -275,7 +288,7 @@ class SumoWorld:
         """
         lane = self._overlapped(ego, pose)
         bumper = self._bumper(ego, pose)
-        session.move(ego, *bumper, pose.yaw)
+        session.move(ego, *bumper, pose.yaw, keep_route=ego not in self._searched)
         if lane is None:
             self._phantoms.drop(ego)
         else:
