@@ -44,6 +44,10 @@ class Lanes(Protocol):
         """Keep the lane beside the ego free for its return."""
         ...
 
+    def changed_lane(self, ego: str) -> None:
+        """Let the world weigh its wishes to change the lane anew."""
+        ...
+
 
 class DoubleLaneChanger:
     """Drives the declared double lane change of one ego, once, where a gap is free."""
@@ -156,7 +160,7 @@ class LaneFollower:
     def plan(self, ego: Ego, intent: Intent, others: Others, lanes: Lanes) -> None:
         """Decide after a step."""
         if self._changing is not None:
-            self._go_on(ego, self._changing, others)
+            self._go_on(ego, self._changing, others, lanes)
         elif self._wanted and intent.side != 0 and ego.time - self._last >= REST:
             self._start(ego, intent.side, lanes)
         elif path_length(ego.path) - ego.state.position < REACH:
@@ -186,10 +190,11 @@ class LaneFollower:
         ego.take_path(target, blended(target, ego.path, here.position, there.position, length))
         return True
 
-    def _go_on(self, ego: Ego, changing: Changing, others: Others) -> None:
+    def _go_on(self, ego: Ego, changing: Changing, others: Others, lanes: Lanes) -> None:
         word = "left" if changing.side > 0 else "right"
         if ego.state.position >= changing.end:
             self._changing, self._last = None, ego.time
+            lanes.changed_lane(ego.name)
             ego.enter("keep lane", f"lane change {word} done")
         elif abs(others.own_offset) > 0.5 * ego.lane_width and _closing(ego, others):
             length = max(ego.speed * 0.5 * DURATION, SHORTEST)

@@ -59,6 +59,9 @@ class Lanes:
     def hold(self, ego: str, side: int) -> None:
         self.held = side
 
+    def changed_lane(self, ego: str) -> None:
+        self.changes = getattr(self, "changes", 0) + 1
+
 
 def begun(speed: float, room: float = math.inf) -> tuple[Any, LaneFollower, Lanes]:
     ego, lanes = cast(Any, Ego(speed)), Lanes()
@@ -107,6 +110,7 @@ def test_a_change_is_latched_and_ends_after_its_way():
     ego.state.position = 181.0
     follower.plan(ego, Intent(20.0, 0), FREE, lanes)
     assert ego.said[-1] == "lane change left done"
+    assert cast(Any, lanes).changes == 1, "SUMO weighs its wishes anew"
 
 
 def beside(speed: float, own_offset: float) -> Others:

@@ -249,6 +249,18 @@ def test_a_lane_that_the_ego_holds_keeps_its_traffic_behind_it(world, side, lead
     assert not any(name.startswith(PHANTOM) for name in libsumo.vehicle.getIDList())
 
 
+def test_after_a_lane_change_sumo_weighs_its_wishes_from_zero_as_after_its_own(world):
+    w = world(vehicle("ego", 150, 12))
+    for _ in w.warm_up(STEP):
+        pass
+    w.take_over("ego", FRONT, WIDTH)
+    wishes = [f"laneChangeModel.{w}" for w in ("keepRightProbability", "speedGainProbabilityLeft")]
+    for wish in wishes:
+        libsumo.vehicle.setParameter("ego", wish, "3")
+    w.changed_lane("ego")
+    assert [float(libsumo.vehicle.getParameter("ego", wish)) for wish in wishes] == [0.0, 0.0]
+
+
 def watch(w: SumoWorld, poses: int, broken: int = -1) -> np.ndarray:
     """Positions of everybody over some steps; at step `broken` the block is left between proposal and pose."""
     with w:

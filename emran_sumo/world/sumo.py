@@ -11,7 +11,7 @@ import libsumo
 import numpy as np
 
 from emran_sumo.path import Path
-from emran_sumo.world import braking, phantom, session
+from emran_sumo.world import braking, phantom, session, wishes
 from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
@@ -22,12 +22,6 @@ SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
-LEFT, RIGHT = 2, 4  # bits of a lane change wish
-STRATEGIC = 8
-REASONS = STRATEGIC | 16 | 32 | 64  # and cooperative, speed gain, keep right
-# by leaders or followers on either side, by overlapping vehicles, by too little room or speed
-BLOCKED = 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 28
-UNKNOWN = 1 << 30
 REMOVE_ARRIVED = 2
 ARRIVAL_ROOM = 2.0  # steps before the arrival position: SUMO removes no vehicle that is moved from outside
 
@@ -211,16 +205,10 @@ class SumoWorld:
         vehicle = libsumo.vehicle
         if not self.lane_of(ego):
             return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
-        speed = braking.wish(ego, self.step)
-        for side, bit in ((1, LEFT), (-1, RIGHT)):
-            state = vehicle.getLaneChangeState(ego, side)[0]
-            if state == UNKNOWN or not (state & bit and state & REASONS):
-                continue
-            if not state & BLOCKED:
-                return Intent(speed, side)
-            if state & STRATEGIC and ego not in self._phantoms:
-                speed = min(speed, braking.speed_for_room(ego, self.step))
-        return Intent(speed)
+        speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
+        if change.needs_room and ego not in self._phantoms:
+            speed = min(speed, braking.speed_for_room(ego, self.step))
+        return Intent(speed, change.side)
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
@@ -272,6 +260,10 @@ class SumoWorld:
         else:
             libsumo.vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT)
             libsumo.vehicle.changeLane(ego, libsumo.vehicle.getLaneIndex(ego) + side, 1e6)
+
+    def changed_lane(self, ego: str) -> None:
+        """A lane change is done."""
+        wishes.weigh_anew(ego)
 
     def hold(self, ego: str, side: int) -> None:
         """Hold the lane beside the ego's (side +1 left, -1 right, 0 none), as if the body were there too."""
@@ -393,8 +385,6 @@ class SumoWorld:
         if self._closed:
             return
         self._closed = True
-        with contextlib.suppress(*SUMO_ERRORS):
-            if self._pending:
-                libsumo.simulation.step()
-        with contextlib.suppress(*SUMO_ERRORS):
-            session.close()
+        for end in (*([libsumo.simulation.step] if self._pending else []), session.close):
+            with contextlib.suppress(*SUMO_ERRORS):
+                end()

@@ -171,6 +171,9 @@ class TrackWorld:
     def hold(self, ego: str, side: int) -> None:
         """Nobody to keep out."""
 
+    def changed_lane(self, ego: str) -> None:
+        """Nobody wishes."""
+
     def lane_path(self, ego: str, side: int) -> Path | None:
         """There is no other lane."""
         del ego, side
