@@ -34,6 +34,7 @@ MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
 OFF_ROUTE_MOST = 0.5  # s after which SUMO may find it beside its route
 OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
+WAIT_FOR_A_CAR = 3600.0  # s in which some car of a configuration must depart, where none is asked for
 WAIT_FOR_DEPARTURE = 300.0  # s after the warm-up in which the ego of a scenario must appear
 
 
@@ -148,7 +149,7 @@ def _first_egos(world: World, located: Located, selection: Selection, progress: 
     scenario = located.values
     if isinstance(world, TrackWorld):
         return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
-    patience = WAIT_FOR_DEPARTURE if not scenario.config else math.inf
+    patience = WAIT_FOR_DEPARTURE if not scenario.config else math.inf if selection.asked_for else WAIT_FOR_A_CAR
     candidates, end = world.present(), min(world.time + patience, world.end)
     while True:
         egos = _newcomers(world, scenario, selection, candidates, 0)

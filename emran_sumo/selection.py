@@ -26,6 +26,11 @@ class Selection:
         """Whether the egos are known by their ids: the run ends when all of them have ended."""
         return bool(self.ids) or not (self._egos.type or self._egos.penetration)
 
+    @property
+    def asked_for(self) -> bool:
+        """Whether the user has told which: then even those that depart late are waited for."""
+        return bool(self.ids or self._egos.type)
+
     def complete(self, taken: int) -> bool:
         """Whether no further ego can come after `taken` ones."""
         return self.named and taken >= max(len(self.ids), 1)

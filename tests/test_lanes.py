@@ -1,10 +1,12 @@
 """Lane polylines become paths that keep their shape and can be driven."""
 
+import math
+
 import numpy as np
 import pytest
 
-from emran_sumo.path import path_length, point_at
-from emran_sumo.world.lanes import LANE_TOLERANCE, SPACING, blended, joined, smooth_path, speed_cap
+from emran_sumo.path import nearest, path_length, point_at
+from emran_sumo.world.lanes import LANE_TOLERANCE, SPACING, blended, joined, reached, smooth_path, speed_cap
 
 BORDER = 60.0  # m at either end, where half of the neighbors that smooth a point are missing
 
@@ -150,3 +152,19 @@ def test_a_blended_path_leaves_the_old_one_smoothly_and_ends_on_the_target():
     after = path.x > 115.0
     np.testing.assert_allclose(path.y[after], 3.2, atol=1e-6)
     np.testing.assert_allclose(path.yaw[after], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("aside", "turn"), [(1.7, 0.0), (-1.7, 0.1), (0.4, -0.1)])
+def test_who_stands_beside_a_path_is_led_to_it_from_where_it_is_without_a_kink(bench, aside, turn):
+    path = bench.circle(300.0, 400.0)
+    there = point_at(path, 100.0)
+    x, y = there.x - aside * math.sin(there.yaw), there.y + aside * math.cos(there.yaw)
+    way = reached(path, x, y, there.yaw + turn, 100.0, 60.0)
+    begin = nearest(way, x, y, 100.0)
+    assert math.hypot(begin.x - x, begin.y - y) < 0.01
+    assert begin.yaw == pytest.approx(there.yaw + turn, abs=0.01)
+    k = int(170.0 / path.spacing)
+    end = nearest(path, way.x[k], way.y[k], 170.0)
+    assert math.hypot(end.x - way.x[k], end.y - way.y[k]) < 0.002
+    driven = way.curvature[int(begin.position / path.spacing) + 1 : k]  # behind its begin nobody drives
+    assert np.abs(np.diff(driven)).max() < 0.002  # 1/m in 0.25 m

@@ -155,6 +155,13 @@ def blended(target: Path, path: Path, position: float, target_position: float, l
     return shifted(target, offset, slope / length, bend / length**2)
 
 
+def reached(path: Path, x: float, y: float, yaw: float, position: float, length: float) -> Path:
+    """The path reached within `length` [m] by a car that is at (x, y) [m] with `yaw` [rad], beside `position` on it."""
+    ahead, flat = np.arange(3) * SPACING, np.zeros(3)
+    straight = Path(x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), flat + yaw, flat, flat, SPACING)
+    return blended(path, straight, 0.0, position, length)
+
+
 def _quintic(u: np.ndarray, p0: float, v0: float, a0: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Quintic of u in [0, 1] from (p0, v0, a0) to rest at 0, with first and second derivative."""
     c3 = -10.0 * p0 - 6.0 * v0 - 1.5 * a0
