@@ -95,7 +95,7 @@ def units_of(tuning: Tuning) -> list[dict[str, float]]:
     found = []
     for case in tuning.cases:
         values = decode(tuning.genes, encode(tuning.genes))
-        other = values if tuning.reference == START else {"controller": tuning.reference}
+        other = values if tuning.reference == START else {**values, "controller": tuning.reference}
         unit = ride({**case.given, **other})
         if not unit["ended"]:
             raise UserError(f'case "{case.name}": the reference {tuning.reference} leaves the path; name another one.')
