@@ -149,7 +149,7 @@ def show(result: "RunResult", recorded: bool) -> None:
     console = Console()
     summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
     good = result.ended in ("finished", "arrived")
-    console.print(verdict(summary), style="bold" if good else "bold red", highlight=False)
+    console.print(verdict(summary), style="bold" if good else "bold red", highlight=False, soft_wrap=True)
     for note in summary["notes"]:
         console.print(f"note: {note}", style="dim", highlight=False, soft_wrap=True)
     table = Table("", "", "RMS or value", "max", box=None, header_style="dim", pad_edge=False)

@@ -249,7 +249,10 @@ def test_no_lane_on_the_right_is_told_as_well(refused, tmp_path):
         ("", r".*own\.net\.xml: not a network file: no element found: line 1, column 0\."),
         ("hello", r".*own\.net\.xml: not a network file: syntax error: line 1, column 0\."),
         (NETWORK[:3000], r".*own\.net\.xml: not a network file: .*: line \d+, column \d+\."),
-        ("<routes/>", r"traffic: edge 'main_in' is not in the network\."),
+        (
+            "<routes/>",
+            r'.*cars\.rou\.xml: route "through": found the edge "main_in", which is not in .*own\.net\.xml\.',
+        ),
         (NETWORK.replace('"main_mid"', '"middle"'), r"SUMO cannot start with .*own\.net\.xml: The edge 'main_mid' .*"),
         (
             re.sub(r'(<lane id="main_mid_1".*?shape=)"[^"]*"', r'\1"somewhere"', NETWORK),

@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from emran_sumo.errors import UserError
 from emran_sumo.units import Unit
 from emran_sumo.world.network import Piece, main_lanes
 from emran_sumo.world.routes import Departure, VehicleType, read, route_edges, vehicle_types
@@ -85,7 +86,11 @@ def write_demand(
         if params.share_enter > 0.0:
             route_edges(declared, params.enter)
         rng = np.random.default_rng(seed)
-        chains = main_lanes(network_file, through)
+        try:
+            chains = main_lanes(network_file, through)
+        except ValueError as error:
+            files = ", ".join(map(str, route_files))
+            raise UserError(f'{files}: route "{params.through}": {error} of {network_file}.') from None
         for index, chain in enumerate(chains):
             placed = _fill(chain, _for_lane(types, index, len(chains)), params.density, speed_limit, rng)
             for vehicle in placed:

@@ -34,7 +34,7 @@ def main_lanes(network_file: Path, edges: Sequence[str]) -> list[tuple[Piece, ..
     while f"{edges[0]}_{len(chains)}" in length:
         chains.append(_chain(len(chains), edges, length, follow))
     if not chains:
-        raise ValueError(f"edge {edges[0]!r} is not in the network")
+        raise ValueError(f'found the edge "{edges[0]}", which is not in the network')
     return chains
 
 
