@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from emran_sumo import cli_study
+from emran_sumo import cli_study, cli_vehicle
 from emran_sumo.errors import Interrupted, UserError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ app = typer.Typer(
 )
 
 app.add_typer(cli_study.app, name="study")
+app.add_typer(cli_vehicle.app, name="vehicle")
 
 
 @app.callback()
@@ -58,6 +59,7 @@ def run(
     ] = None,
     density: Annotated[float | None, typer.Option(help="Vehicles per km and lane.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds to drive after the take-over.")] = None,
+    vehicle: Annotated[str | None, typer.Option(help="sedan, compact, van, or a TOML file of [vehicle] keys.")] = None,
     ego: Annotated[list[str] | None, typer.Option(metavar="ID", help="Vehicle to drive; repeatable.")] = None,
     ego_type: Annotated[str | None, typer.Option(metavar="TYPE", help="Drive all vehicles of this vType.")] = None,
     penetration: Annotated[
@@ -98,10 +100,13 @@ def run(
         display.phase("load", 0.0, 0.0)
         from emran_sumo import drive
         from emran_sumo.scenario import chosen_egos, load, parse_value, values_in
+        from emran_sumo.vehicles import vehicle_overrides
 
         overrides |= chosen_egos(ego, ego_type, penetration)
         for file in reversed(set_file or []):  # the last one wins, and flags win over all
             overrides = {**{key: (value, str(file)) for key, value in values_in(file).items()}, **overrides}
+        if vehicle is not None:
+            overrides = {**vehicle_overrides(vehicle), **overrides}
         for text in set_ or []:
             key, equals, value = text.partition("=")
             if not equals or not key:

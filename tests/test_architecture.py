@@ -12,9 +12,10 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics encounters maneuver scenario viewer",
-    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
+    "vehicles vehicle_figure ego planner selection opening warm manifest stop results drive bench report tuning search "
+    "checkpoint tune paper",
     "study",
-    "terminal cli_study cli",
+    "terminal cli_study cli_vehicle cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}
