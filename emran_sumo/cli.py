@@ -5,11 +5,11 @@ import shlex
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from emran_sumo import cli_study
+from emran_sumo import cli_files, cli_study
 from emran_sumo.errors import Interrupted, UserError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ app = typer.Typer(
 )
 
 app.add_typer(cli_study.app, name="study")
+app.registered_commands += cli_files.app.registered_commands
 
 
 @app.callback()
@@ -82,32 +83,20 @@ def run(
     """Drive one scenario: writes OUT/<scenario>/<controller>-seed<k>/ with run.rrd, trace.parquet, summary.json."""
     from emran_sumo import terminal
 
-    given = {"controller": controller, "seed": seed, "traffic.density": density, "duration": duration}
     flags = {
-        "controller": "--controller",
-        "seed": "--seed",
-        "traffic.density": "--density",
-        "duration": "--duration",
-    }
-    overrides: dict[str, tuple[Any, str]] = {
-        key: (float(value) if isinstance(value, int) and key != "seed" else value, flags[key])
-        for key, value in given.items()
-        if value is not None
+        "controller": ("--controller", controller),
+        "seed": ("--seed", seed),
+        "traffic.density": ("--density", density),
+        "duration": ("--duration", duration),
     }
     with terminal.Display() as display:
         display.phase("load", 0.0, 0.0)
         from emran_sumo import drive
-        from emran_sumo.scenario import chosen_egos, load, parse_value, values_in
+        from emran_sumo.options import overrides
+        from emran_sumo.scenario import chosen_egos, load
 
-        overrides |= chosen_egos(ego, ego_type, penetration)
-        for file in reversed(set_file or []):  # the last one wins, and flags win over all
-            overrides = {**{key: (value, str(file)) for key, value in values_in(file).items()}, **overrides}
-        for text in set_ or []:
-            key, equals, value = text.partition("=")
-            if not equals or not key:
-                raise UserError(f'--set: found "{text}"; accepted is KEY=VALUE, e.g. road.friction=0.6.')
-            overrides[key.strip()] = (parse_value(value.strip()), "--set")
-        located = load(scenario, overrides)
+        chosen = chosen_egos(ego, ego_type, penetration)
+        located = load(scenario, overrides(flags, set_, set_file, chosen))
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
         result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
         native = drive.native(located, result, display.phase) if baseline_native else None

@@ -41,7 +41,8 @@ class RunResult(NamedTuple):
     """Outcome of a run.
 
     folder: where its files lie; ended: "finished", "arrived", "collision", "diverged", "lost" or "interrupted"; reason:
-    one sentence; metrics: by group; trace: (n, len(COLUMNS)). All of the first ego; the others are in the summary.
+    one sentence; metrics: by group; trace: (n, len(COLUMNS)); shape: its outline. All of the first ego; the others are
+    in the summary.
     """
 
     folder: Path
@@ -49,6 +50,7 @@ class RunResult(NamedTuple):
     reason: str
     metrics: dict[str, dict[str, Any]]
     trace: np.ndarray
+    shape: EgoShape
 
 
 class Driven(NamedTuple):
@@ -116,7 +118,7 @@ def _run(
                 recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
         write_traces(folder, host)
         write_summary(folder / "summary.json", summary)
-    return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
+    return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace(), _shape(first))
 
 
 def native(located: Located, result: RunResult, progress: Progress = lambda *_: None) -> Native:
@@ -346,8 +348,7 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
 
 
 def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:
-    s, v = located.values, ego.vehicle
-    shape = EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)
+    s, shape = located.values, _shape(ego)
     name = f"{located.name}, {s.controller}, seed {s.seed}"
     identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
@@ -355,3 +356,8 @@ def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told:
         return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None
+
+
+def _shape(ego: Ego) -> EgoShape:
+    v = ego.vehicle
+    return EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)

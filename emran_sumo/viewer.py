@@ -11,8 +11,8 @@ from emran_sumo.errors import UserError
 FAILS_WITHIN = 1.5  # s in which a viewer that finds no display gives up
 
 
-def open_viewer(*files: Path) -> None:
-    """Open recordings in one viewer, which outlives this process.
+def open_viewer(*files: Path, asked: str = "--view") -> None:
+    """Open recordings in one viewer, which outlives this process; `asked`: what the user typed for it.
 
     Raises:
         UserError: the viewer gives up at once; with its last words.
@@ -28,5 +28,5 @@ def open_viewer(*files: Path) -> None:
             if viewer.poll() not in (None, 0):
                 said.seek(0)
                 words = said.read().decode(errors="replace").strip().splitlines()
-                raise UserError(f"--view: the Rerun viewer did not open: {words[-1] if words else 'it said nothing'}")
+                raise UserError(f"{asked}: the Rerun viewer did not open: {words[-1] if words else 'it said nothing'}")
             time.sleep(0.05)

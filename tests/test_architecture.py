@@ -11,10 +11,10 @@ FLOORS = (
     "plant path",
     "control",
     "loop conditioning",
-    "world recording metrics encounters maneuver scenario viewer",
-    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
-    "study",
-    "terminal cli_study cli",
+    "world recording metrics encounters maneuver scenario viewer options found",
+    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper compare",
+    "study export",
+    "terminal cli_study cli_files cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}
