@@ -177,7 +177,7 @@ def markdown(first: Located, results: Mapping[str, drive.RunResult], command: st
         lines.append(f"| {row.words} | {' | '.join(cells)} |")
     if s.world != "track":
         lines.append(
-            f"\nThe traffic shown is that of {names[0]}: it is the same in all runs until an ego acts on it differently."
+            f"\nThe traffic shown is that of {names[0]}; all runs share it until an ego acts on it differently."
         )
     lines += ["".join(f"\n{name}: {r.reason}." for name, r in results.items() if r.ended != "finished")]
     return "\n".join(lines) + f"\nRepeat: `{command}`\n"

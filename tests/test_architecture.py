@@ -12,8 +12,8 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics encounters maneuver scenario viewer options found",
-    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper compare",
-    "study export",
+    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
+    "study compare export",
     "terminal cli_study cli_files cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}

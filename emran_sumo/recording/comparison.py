@@ -62,7 +62,7 @@ def write_comparison(
         _write_frame(stream, runs[0].trace)
         _write_curves(stream, "reference", runs[0].trace, (Curve("speed_reference", "reference", SLATE),))
         for i, (run, of) in enumerate(zip(runs, shown, strict=True)):
-            _write_ego(stream, run, of, solid=i == 0)
+            _write_ego(stream, run, of, i)
             _write_curves(stream, of.key, run.trace, curves(of))
             _write_maneuvers(stream, run, of)
         stream.log("/summary", rr.TextDocument(summary, media_type=rr.MediaType.MARKDOWN), static=True)
@@ -84,19 +84,20 @@ def _bounds(recording: Path) -> tuple[float, float, float, float]:
     return -50.0, -50.0, 50.0, 50.0
 
 
-def _write_ego(stream: rr.RecordingStream, run: Compared, of: Shown, solid: bool) -> None:
+def _write_ego(stream: rr.RecordingStream, run: Compared, of: Shown, place: int) -> None:
+    """The first ego is solid, the others are outlines around it, each a little higher, so that none hides another."""
     ego, entity = run.ego, f"/world/ego/{of.key}"
     middle = ego.front_axle + ego.front_overhang - ego.length / 2
-    color = packed([of.color])
+    color, half = packed([of.color]), 0.35 * ego.height + 0.06 * place
     body = rr.Boxes3D(
-        centers=[(middle, 0, 0.25 + 0.35 * ego.height)],
-        half_sizes=[(ego.length / 2, ego.width / 2, 0.35 * ego.height)],
+        centers=[(middle, 0, 0.25 + half)],
+        half_sizes=[(ego.length / 2, ego.width / 2, half)],
         colors=color,
-        radii=0.04,
-        fill_mode="solid" if solid else "TransparentFillMajorWireframe",
+        radii=0.06,
+        fill_mode="MajorWireframe" if place else "solid",
     )
     stream.log(f"{entity}/body", body, static=True)
-    if solid:
+    if place == 0:
         stream.log(f"{entity}/nose", _nose(ego, middle), static=True)
     stream.log(f"/world/trail/{of.key}", rr.LineStrips3D.from_fields(radii=0.07, colors=color), static=True)
     last = None

@@ -63,22 +63,22 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
     behind = rrb.EyeControls3D(kind="Orbital", position=(-14, 0, 6), look_target=(9, 0, 0.5), eye_up=(0, 0, 1))
     left = rrb.Vertical(
         _scene(f"Top-down, follows {first}; traffic of its run in gray", "/world/ego_frame", above, controllers),
-        rrb.Tabs(
-            _scene("Close-up", "/world/ego_frame", near, controllers),
-            _scene("Chase camera", "/world/ego_frame", behind, controllers),
-            _road_map(bounds),
-            active_tab=0,
+        rrb.Horizontal(
+            rrb.Tabs(
+                _scene("Close-up", "/world/ego_frame", near, controllers),
+                _scene("Chase camera", "/world/ego_frame", behind, controllers),
+                _road_map(bounds),
+                active_tab=0,
+            ),
+            rrb.TextDocumentView(origin="/summary", name="Summary"),
+            column_shares=[1, 1.4],
         ),
         rrb.StateTimelineView(origin="/state", name="Maneuvers", time_view=_whole_run()),
-        row_shares=[4, 3.5, 1.6],
+        row_shares=[3.6, 4.2, 1.6],
     )
-    right = rrb.Vertical(
-        rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.Tabs(*(_tab(name, plots, controllers) for name, plots in TABS.items()), active_tab=0),
-        row_shares=[1.35, 3.4],
-    )
+    right = rrb.Tabs(*(_tab(name, plots, controllers) for name, plots in TABS.items()), active_tab=0)
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[1, 1]),
+        rrb.Horizontal(left, right, column_shares=[1.15, 1]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -96,7 +96,9 @@ def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) ->
     }
     corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop
     if plot.column == "speed_long":
-        overrides["/plots/reference"] = [_line(Curve("speed_reference", "reference", SLATE), False)]
+        overrides["/plots/reference"] = [
+            _line(Curve("speed_reference", f"reference of {controllers[0].label}", SLATE), False)
+        ]
     return rrb.TimeSeriesView(
         origin="/plots",
         name=plot.title,
