@@ -75,6 +75,9 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder that holds the runs.")] = Path("runs"),
     sumo_gui: Annotated[bool, typer.Option("--sumo-gui", help="Watch in SUMO's own window.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer when done.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show the recording in the Rerun viewer while the run goes on.")
+    ] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.")] = False,
     baseline_native: Annotated[
         bool, typer.Option("--baseline-native", help="Also let SUMO drive the ego, and compare.")
@@ -98,7 +101,10 @@ def run(
         chosen = chosen_egos(ego, ego_type, penetration)
         located = load(scenario, overrides(flags, set_, set_file, chosen))
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
-        result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
+        shown = _live_viewer(no_record) if live else ""
+        result = drive.run(
+            located, out, record=not no_record, gui=sumo_gui, live=shown, command=command, progress=display.phase
+        )
         native = drive.native(located, result, display.phase) if baseline_native else None
     _finish(result, not no_record, view)
     if native is not None:
@@ -170,6 +176,14 @@ def paper(
     recompute(
         table or [], json_file=json_file, markdown=markdown, literal=literal, noise=noise, delay=delay, workers=workers
     )
+
+
+def _live_viewer(no_record: bool) -> str:
+    if no_record:
+        raise UserError("--live: found with --no-record; accepted is --live alone, which shows what is recorded.")
+    from emran_sumo.viewer import listening_viewer
+
+    return listening_viewer()
 
 
 def _finish(result: "RunResult", recorded: bool, view: bool) -> None:

@@ -73,6 +73,7 @@ def run(
     *,
     record: bool = True,
     gui: bool = False,
+    live: str = "",
     command: str = "",
     progress: Progress = lambda *_: None,
 ) -> RunResult:
@@ -83,6 +84,7 @@ def run(
         out: folder that holds the runs; the run's own is <scenario>/<controller>-seed<k> in it.
         record: write run.rrd.
         gui: open SUMO's own window.
+        live: address of a viewer that shows the recording while it is written.
         command: what the user typed, kept in the summary.
         progress: called with (phase, seconds done, seconds in all).
 
@@ -90,11 +92,11 @@ def run(
         UserError: a file, id or folder is not usable.
     """
     with stoppable() as stop:
-        return _run(located, Path(out), stop, record, gui, command, progress)
+        return _run(located, Path(out), stop, record, gui, live, command, progress)
 
 
 def _run(
-    located: Located, out: Path, stop: Stop, record: bool, gui: bool, command: str, progress: Progress
+    located: Located, out: Path, stop: Stop, record: bool, gui: bool, live: str, command: str, progress: Progress
 ) -> RunResult:
     scenario = located.values
     open_world = opening(located)
@@ -109,7 +111,7 @@ def _run(
         first = next(iter(egos.values())).ego
         clear(folder)  # the older run stays until the new one has begun
         stop.driving = True
-        recorder = _open_recorder(folder, located, first, world, told) if record else None
+        recorder = _open_recorder(folder, located, first, world, told, live) if record else None
         with recorder or contextlib.nullcontext():
             host = Host(world, scenario, egos, selection, recorder, stop, progress)
             host.drive(real_time=gui)
@@ -347,13 +349,13 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
     ego.told = len(ego.events)
 
 
-def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:
+def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any], live: str) -> Recorder:
     s, shape = located.values, _shape(ego)
     name = f"{located.name}, {s.controller}, seed {s.seed}"
     identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
     try:
-        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)
+        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS, live=live)
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None
 

@@ -46,10 +46,9 @@ def _near(given: Path, names: tuple[str, ...]) -> str:
     """The nearest existing folder's runs, or the default folder's."""
     folder = next((parent for parent in given.parents if parent.is_dir()), Path())
     for place in (folder, Path("runs")):
-        near = sorted(
-            {str(file.parent) for name in names for d in range(_DEPTH) for file in place.glob("*/" * d + name)}
-        )
+        runs = {file.parent for name in names for depth in range(_DEPTH) for file in place.glob("*/" * depth + name)}
+        near = sorted(map(str, runs))
         if near:
             listed = ", ".join(near[:_LISTED]) + (", ..." if len(near) > _LISTED else "")
-            return nearest_name(str(given), near, listed)
+            return nearest_name(str(given), [*near, *(str(run.parent) for run in runs)], listed)
     return "No runs lie near; `emran-sumo run` makes one."

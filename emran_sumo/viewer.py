@@ -1,14 +1,18 @@
 """Opening recordings in the Rerun viewer."""
 
+import socket
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from emran_sumo.errors import UserError
 
 FAILS_WITHIN = 1.5  # s in which a viewer that finds no display gives up
+LISTENS_WITHIN = 30.0  # s in which a viewer that does listens to recordings
+PORT = 9876  # Rerun's own default
 
 
 def open_viewer(*files: Path, asked: str = "--view") -> None:
@@ -17,16 +21,48 @@ def open_viewer(*files: Path, asked: str = "--view") -> None:
     Raises:
         UserError: the viewer gives up at once; with its last words.
     """
+    _start([*map(str, files)], asked, lambda: False, FAILS_WITHIN)
+
+
+def listening_viewer(port: int = PORT) -> str:
+    """Address of the viewer that listens on this machine; it is started where none does, and outlives this process.
+
+    Raises:
+        UserError: no viewer can be opened; with its last words.
+    """
+    if not _listens(port):
+        _start(["--port", str(port), "--hide-welcome-screen"], "--live", lambda: _listens(port), LISTENS_WITHIN)
+        time.sleep(FAILS_WITHIN)  # it may listen first and find no display then
+        if not _listens(port):
+            raise UserError("--live: the Rerun viewer did not open: it closed at once")
+    return f"rerun+http://127.0.0.1:{port}/proxy"
+
+
+def _start(words: list[str], asked: str, ready: Callable[[], bool], patience: float) -> None:
+    """Start a viewer and wait until it is ready, or for `patience` [s] whether it gives up."""
     with tempfile.TemporaryFile() as said:
-        command = [sys.executable, "-m", "rerun", *map(str, files)]
         # no pipe of ours is left open: whoever reads our output need not wait for the viewer
         viewer = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True
-        )
-        end = time.monotonic() + FAILS_WITHIN
-        while time.monotonic() < end:
+            [sys.executable, "-m", "rerun", *words],
+            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+        end = time.monotonic() + patience
+        while time.monotonic() < end and not ready():
             if viewer.poll() not in (None, 0):
                 said.seek(0)
-                words = said.read().decode(errors="replace").strip().splitlines()
-                raise UserError(f"{asked}: the Rerun viewer did not open: {words[-1] if words else 'it said nothing'}")
+                reason = _reason(said.read().decode(errors="replace"))
+                raise UserError(f"{asked}: the Rerun viewer did not open: {reason}")
             time.sleep(0.05)
+
+
+def _reason(words: str) -> str:
+    last = (words.strip().splitlines() or ["it said nothing"])[-1]
+    if "nor DISPLAY is set" in last:
+        return "there is no display; accepted is a desktop, or DISPLAY set to one."
+    return last
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from emran_sumo.print_style import COLORS, STYLE
 
@@ -92,8 +93,8 @@ def draw_sheet(file: Path, trace: Mapping[str, np.ndarray], title: str) -> None:
         figure.savefig(file, format="png", dpi=DOTS, metadata={"Software": None})
 
 
-def draw_panel(axes: Axes, panel: Panel, trace: Mapping[str, np.ndarray]) -> None:
-    """Draw the curves of a panel over the whole run."""
+def draw_panel(axes: Axes, panel: Panel, trace: Mapping[str, np.ndarray], legend_above: bool = False) -> None:
+    """Draw the curves of a panel over the whole run; the legend where it hides least, or beside the title."""
     for line in panel.lines:
         axes.plot(
             trace["time"],
@@ -107,11 +108,13 @@ def draw_panel(axes: Axes, panel: Panel, trace: Mapping[str, np.ndarray]) -> Non
     axes.set_title(panel.title, loc="left")
     axes.margins(x=0.0)
     if panel.steps:
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_ylim(bottom=0.0)
     else:
         _open_up(axes)
-    if len(panel.lines) > 1:
+    if len(panel.lines) > 1 and legend_above:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=len(panel.lines), borderaxespad=0.0)
+    elif len(panel.lines) > 1:
         axes.legend(loc="best", handlelength=2.2, borderaxespad=0.2, labelspacing=0.25)
 
 

@@ -22,10 +22,10 @@ SIZE = (1280, 720)  # pixels
 RATE = 20  # frames per second, in real time
 TRAIL = 10.0  # s
 _DOTS = 100
-_REACH = (45.0, 36.0)  # m shown to both sides along and across the road
+_SHOWN_ROAD = (-45.0, 75.0, -17.0, 17.0)  # m behind and ahead of the ego, to its right and left
 _SHOWN = ("cross-track error (m)", "speed (m/s)", "steering angle (deg)", "neurons")
 _ASPHALT, _PAINT, _TRAFFIC = "#4b5059", "#f2f2f2", "#a9b4c4"
-_NEAR = 80.0  # m around the ego in which the road is drawn
+_NEAR = 90.0  # m around the ego in which the road is drawn
 
 
 def draw_video(
@@ -64,9 +64,9 @@ class _Picture:
         values = manifest["scenario"]
         title = f"{manifest['scenario_name']},  {values['controller']},  seed {values['seed']}"
         figure.text(0.02, 0.955, title, fontsize=13, weight="bold")
-        view = figure.add_axes((0.02, 0.03, 0.52, 0.9))
+        view = figure.add_axes((0.02, 0.45, 0.96, 0.484))
         self._moving = self._draw_view(view) + self._draw_plots(figure)
-        self._clock = figure.text(0.54, 0.955, "", fontsize=13, ha="right", animated=True)
+        self._clock = figure.text(0.98, 0.955, "", fontsize=13, ha="right", animated=True)
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
 
@@ -86,8 +86,9 @@ class _Picture:
             progress("draw", now / 1000, end / 1000)
 
     def _draw_view(self, view: Axes) -> list[tuple[Axes, Artist]]:
-        view.set(xlim=(-_REACH[0] * 0.55, _REACH[0] * 1.1), ylim=(-_REACH[1], _REACH[1]), xticks=[], yticks=[])
+        view.set(xlim=_SHOWN_ROAD[:2], ylim=_SHOWN_ROAD[2:], xticks=[], yticks=[])
         view.set_aspect("equal", adjustable="box")
+        view.spines[:].set_visible(False)
         view.set_facecolor("#dfe5dc")
         view.grid(visible=False)
         self._asphalt = PolyCollection([], facecolors=_ASPHALT, edgecolors=_ASPHALT, linewidths=0.6)
@@ -105,12 +106,10 @@ class _Picture:
         panels = [panel for panel in PANELS if panel.title in _SHOWN]
         self._cursors = []
         for i, panel in enumerate(panels):
-            axes = figure.add_axes((0.6, 0.79 - 0.235 * i, 0.385, 0.16))
-            draw_panel(axes, panel, self._trace)
-            if i + 1 < len(panels):
+            axes = figure.add_axes((0.05 + 0.5 * (i % 2), 0.265 - 0.205 * (i // 2), 0.43, 0.135))
+            draw_panel(axes, panel, self._trace, legend_above=True)
+            if i < 2:
                 axes.tick_params(labelbottom=False)
-            else:
-                axes.set_xlabel("time (s)")
             self._cursors.append(axes.axvline(0.0, color="black", linewidth=1.2, animated=True))
         return [(cursor.axes, cursor) for cursor in self._cursors]
 
@@ -123,7 +122,7 @@ class _Picture:
             return (points - here) @ rotation.T
 
         near = np.abs(self._middles - here).max(axis=1) < _NEAR + self._sizes
-        self._asphalt.set_verts(seen(self._scene.triangles[near]))
+        self._asphalt.set_verts(list(seen(self._scene.triangles[near])))
         close = np.flatnonzero(np.abs(self._ends - here).max(axis=1) < _NEAR + self._reaches)
         self._paint.set_segments([seen(self._scene.lines[i]) for i in close])
         past = slice(int(np.searchsorted(self._milliseconds, now - 1000 * TRAIL)), k + 1, 5)

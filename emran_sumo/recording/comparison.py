@@ -104,7 +104,9 @@ def _write_ego(stream: rr.RecordingStream, run: Compared, of: Shown, place: int)
     for times, (x, y, yaw) in _chunks(run.trace, STEP, ("x", "y", "yaw")):
         points = _points(x, y)
         _send(stream, entity, times, rr.Transform3D.columns(translation=points, quaternion=_turns(yaw)))
-        joined = np.concatenate((points[:1] if last is None else last, points)) + np.float32([0.0, 0.0, 0.05])
+        joined = np.concatenate((points[:1] if last is None else last, points)) + np.array(
+            [0.0, 0.0, 0.05], dtype=np.float32
+        )
         last = points[-1:]
         strips = np.stack((joined[:-1], joined[1:]), axis=1)
         _send(stream, f"/world/trail/{of.key}", times, rr.LineStrips3D.columns(strips=strips))

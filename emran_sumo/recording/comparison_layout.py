@@ -91,7 +91,7 @@ def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...]) -> r
 
 
 def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) -> rrb.TimeSeriesView:
-    overrides = {
+    overrides: dict = {
         f"/plots/{of.key}": [_line(Curve(plot.column, of.label, of.color, plot.unit), plot.steps)] for of in controllers
     }
     corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop

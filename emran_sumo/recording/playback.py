@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from rerun.chunk import RrdReader
 
 from emran_sumo.recording.layout import TIMELINE
@@ -35,7 +34,7 @@ def read_scene(file: Path) -> Scene:
             triangles.append(corners[indices])
         if "LineStrips3D:strips" in batch.schema.names:
             strips = batch.column("LineStrips3D:strips").flatten()
-            ends = np.cumsum(pc.list_value_length(strips).to_numpy(zero_copy_only=False))
+            ends = np.diff(strips.offsets).cumsum()
             lines += np.split(_rows(strips, 3)[:, :2], ends[:-1])
     return Scene(np.concatenate(triangles), lines, *_traffic(file))
 
@@ -53,7 +52,7 @@ def _traffic(file: Path) -> tuple[np.ndarray, list[np.ndarray]]:
         boxes = np.column_stack(
             (_rows(centers, 3)[:, :2], 2.0 * np.arctan2(turns[:, 2], turns[:, 3]), 2.0 * halves[:, :2])
         )
-        ends = np.cumsum(pc.list_value_length(centers).to_numpy(zero_copy_only=False))
+        ends = np.diff(centers.offsets).cumsum()
         times = batch.column(TIMELINE).cast("int64").to_numpy() // 1_000_000
         for time, then in zip(times.tolist(), np.split(boxes, ends[:-1]), strict=True):
             found.setdefault(time, []).append(then)
