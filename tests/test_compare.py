@@ -3,22 +3,25 @@
 import os
 import subprocess
 import sys
+import time
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rerun_cli
+from PIL import Image
 from rerun.chunk import RrdReader
+from test_recording import rerun, rows_of, viewer
 
 from emran_sumo import compare
 from emran_sumo.drive import RunResult
 from emran_sumo.errors import UserError
+from emran_sumo.recording.colors import COMPARED
 from emran_sumo.recording.comparison_layout import PLOTS, TABS
 from emran_sumo.recording.table import read_trace
 
 NAMES = ("pid-stanley", "coupled-emran")
 GIVEN = {"duration": (2.5, "--duration"), "traffic.density": (2.0, "--density"), "warm_up": (2.0, "--set")}
-RERUN = str(Path(rerun_cli.__file__).parent / "rerun")
 SCALES = {"": 1.0, "deg": 180.0 / np.pi}
 
 
@@ -26,22 +29,6 @@ SCALES = {"": 1.0, "deg": 180.0 / np.pi}
 def done(tmp_path_factory) -> compare.Comparison:
     out = tmp_path_factory.mktemp("runs")
     return compare.compare("highway_dlc", NAMES, GIVEN, out, "emran-sumo compare ...")
-
-
-def rows_of(file: Path, entity: str, component: str):
-    times, values = [], []
-    for chunk in RrdReader(str(file)).stream().filter(content=entity, has_timeline="sim_time"):
-        batch = chunk.to_record_batch()
-        if component in batch.schema.names:
-            times.extend(batch.column("sim_time").cast("int64").to_pylist())
-            values.extend(batch.column(component).to_pylist())
-    return np.array(times), values
-
-
-def rerun(*words: object) -> int:
-    environment = {**os.environ, "CI": "1"}
-    done = subprocess.run([RERUN, "rrd", *map(str, words)], env=environment, capture_output=True, timeout=60, check=False)
-    return done.returncode
 
 
 def test_the_merged_file_is_whole_and_of_an_application_of_its_own(done):
@@ -105,6 +92,20 @@ def test_the_summary_says_whose_traffic_is_shown_and_tells_every_metric_of_every
     assert [cell.strip(" *") for cell in line.split("|")[2:-1]] == rms
 
 
+def test_the_viewer_draws_every_view_without_a_complaint(done, tmp_path):
+    with viewer(done.file, tmp_path / "viewer.log") as client:
+        client.set_time("sim_time", duration=2.0, play_state="paused")
+        time.sleep(2.0)
+        picture = np.asarray(Image.open(BytesIO(client.take_screenshot())).convert("RGB")).astype(int)
+        views, logs = client.get_state().views, client.get_logs()
+    assert [(v.name, v.reports) for v in views if v.reports] == []
+    assert not [l.message for l in logs if l.level.upper() in ("WARN", "ERROR") and "asterizer" not in l.message]
+    left, right = np.split(picture, [picture.shape[1] // 2], axis=1)
+    for name, color in zip(NAMES, COMPARED, strict=False):
+        for half in (left, right):  # the scene and the plots
+            assert (np.abs(half - np.array(color)).max(axis=2) < 25).sum() > 30, f"{name} is not in the picture"
+
+
 def result(ended: str, **values) -> RunResult:
     metrics = {}
     for measure in compare.MEASURES:
@@ -154,7 +155,7 @@ def test_a_wrong_list_of_controllers_is_told_before_anything_is_driven(text, sen
 
 
 def test_a_wrong_key_costs_no_run(tmp_path):
-    with pytest.raises(UserError, match="road.frction"):
+    with pytest.raises(UserError, match=r"road\.frction"):
         compare.compare("highway_dlc", NAMES, {"road.frction": (0.5, "--set")}, tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -171,11 +172,24 @@ def test_an_interrupted_run_ends_the_comparison_and_leaves_an_older_one(monkeypa
 
 
 def test_the_terminal_shows_a_column_per_controller_and_marks_the_best(tmp_path):
-    words = ["compare", "highway_dlc", "--controllers", ",".join(NAMES), "--duration", "2", "--density", "2", "--seed", "3"]
+    words = [
+        "compare",
+        "highway_dlc",
+        "--controllers",
+        ",".join(NAMES),
+        "--duration",
+        "2",
+        "--density",
+        "2",
+        "--seed",
+        "3",
+    ]
     words += ["--set", "warm_up=2", "--set", "road.friction=0.9"]
     command = [sys.executable, "-c", "from emran_sumo.cli import main; main()", *words]
     environment = {**os.environ, "COLUMNS": "140", "CI": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment, cwd=tmp_path, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=environment, cwd=tmp_path, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].split() == list(NAMES)
     (line,) = (line for line in done.stdout.splitlines() if "cross-track error, RMS [m]" in line)

@@ -1,5 +1,6 @@
 """Encoding frames as a video by ffmpeg."""
 
+import contextlib
 import shutil
 import subprocess
 import tempfile
@@ -41,16 +42,17 @@ def encode(file: Path, encoder: str, frames: Iterable[bytes], size: tuple[int, i
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
         assert process.stdin is not None
         try:
-            for frame in frames:
-                process.stdin.write(frame)
-            process.stdin.close()
-        except BrokenPipeError:
-            pass  # it says why
+            with contextlib.suppress(BrokenPipeError):  # it says why
+                for frame in frames:
+                    process.stdin.write(frame)
         except BaseException:
             process.kill()
-            process.wait()
             raise
-        if process.wait():
+        finally:
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.close()
+            process.wait()
+        if process.returncode:
             said.seek(0)
             words = said.read().decode(errors="replace").strip().splitlines()
             raise UserError(f"--format mp4: ffmpeg failed: {words[-1] if words else 'it said nothing'}")

@@ -72,9 +72,8 @@ class _Picture:
 
     def frames(self, progress: Progress) -> Iterator[bytes]:
         """Pictures in RGB at RATE per second of the run."""
-        end = int(self._milliseconds[-1])
-        period = 1000 // RATE
-        for now in range(int(self._milliseconds[0]), end + 1, period):
+        first, end, period = int(self._milliseconds[0]), int(self._milliseconds[-1]), 1000 // RATE
+        for now in range(-(-first // period) * period, end + 1, period):  # the instants of the traffic
             k = int(np.searchsorted(self._milliseconds, now))
             self._move(k, now)
             self._canvas.restore_region(self._still)

@@ -111,11 +111,8 @@ def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) ->
 
 
 def _scene(name: str, origin: str, eye: rrb.EyeControls3D, controllers: tuple[Shown, ...]) -> rrb.Spatial3DView:
-    recent = rrb.VisibleTimeRanges(
-        timeline=TIMELINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    from_cursor = rrb.TimeRangeBoundary.cursor_relative
+    recent = rrb.VisibleTimeRanges(timeline=TIMELINE, start=from_cursor(seconds=-TRAIL), end=from_cursor())
     overrides: dict = {f"/world/trail/{of.key}": recent for of in controllers}
     overrides["/world/traffic"] = rr.Boxes3D.from_fields(colors=packed([SLATE]))  # only the compared have colors
     return rrb.Spatial3DView(
