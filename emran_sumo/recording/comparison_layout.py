@@ -115,12 +115,8 @@ def _scene(name: str, origin: str, eye: rrb.EyeControls3D, controllers: tuple[Sh
     recent = rrb.VisibleTimeRanges(timeline=TIMELINE, start=from_cursor(seconds=-TRAIL), end=from_cursor())
     overrides: dict = {f"/world/trail/{of.key}": recent for of in controllers}
     overrides["/world/traffic"] = rr.Boxes3D.from_fields(colors=packed([SLATE]))  # only the compared have colors
+    contents = ["/world/**", "- /world/map/**", "- /world/ego/marker"]
     return rrb.Spatial3DView(
-        name=name,
-        origin=origin,
-        contents=["/world/**", "- /world/map/**", "- /world/ego/marker"],
-        background=list(NIGHT),
-        line_grid=False,
-        eye_controls=eye,
-        overrides=overrides,
-    )
+        origin=origin, name=name, contents=contents, eye_controls=eye, overrides=overrides,
+        background=list(NIGHT), line_grid=False,
+    )  # fmt: skip
