@@ -140,8 +140,8 @@ def rows(results: Mapping[str, drive.RunResult]) -> list[Row]:
 
     The best are marked among the runs that came to their end; where all are alike, none is.
     """
-    ended = Row("run", "ended", tuple(r.ended for r in results.values()), ())
-    return [_row(measure, list(results.values())) for measure in MEASURES] + [ended]
+    ended = Row("", "ended", tuple(r.ended for r in results.values()), ())
+    return [ended] + [_row(measure, list(results.values())) for measure in MEASURES]
 
 
 def _row(measure: Measure, results: list[drive.RunResult]) -> Row:

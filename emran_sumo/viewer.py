@@ -1,5 +1,6 @@
 """Opening recordings in the Rerun viewer."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from emran_sumo.errors import UserError
 FAILS_WITHIN = 1.5  # s in which a viewer that finds no display gives up
 LISTENS_WITHIN = 30.0  # s in which a viewer that does listens to recordings
 PORT = 9876  # Rerun's own default
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
 def open_viewer(*files: Path, asked: str = "--view") -> None:
@@ -40,6 +42,7 @@ def listening_viewer(port: int = PORT) -> str:
 
 def _start(words: list[str], asked: str, ready: Callable[[], bool], patience: float) -> None:
     """Start a viewer and wait until it is ready, or for `patience` [s] whether it gives up."""
+    _check_display(asked)
     with tempfile.TemporaryFile() as said:
         # no pipe of ours is left open: whoever reads our output need not wait for the viewer
         viewer = subprocess.Popen(
@@ -50,16 +53,16 @@ def _start(words: list[str], asked: str, ready: Callable[[], bool], patience: fl
         while time.monotonic() < end and not ready():
             if viewer.poll() not in (None, 0):
                 said.seek(0)
-                reason = _reason(said.read().decode(errors="replace"))
-                raise UserError(f"{asked}: the Rerun viewer did not open: {reason}")
+                last = (said.read().decode(errors="replace").strip().splitlines() or ["it said nothing"])[-1]
+                raise UserError(f"{asked}: the Rerun viewer did not open: {last}")
             time.sleep(0.05)
 
 
-def _reason(words: str) -> str:
-    last = (words.strip().splitlines() or ["it said nothing"])[-1]
-    if "nor DISPLAY is set" in last:
-        return "there is no display; accepted is a desktop, or DISPLAY set to one."
-    return last
+def _check_display(asked: str) -> None:
+    """A viewer without a display gives up too, but on a busy machine only after a while."""
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
+        reason = "there is no display; accepted is a desktop, or DISPLAY set to one."
+        raise UserError(f"{asked}: the Rerun viewer did not open: {reason}")
 
 
 def _listens(port: int) -> bool:
