@@ -5,11 +5,11 @@ import shlex
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from emran_sumo import cli_study, cli_vehicle
+from emran_sumo import cli_files, cli_study, cli_vehicle
 from emran_sumo.errors import Interrupted, UserError
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ app = typer.Typer(
 
 app.add_typer(cli_study.app, name="study")
 app.add_typer(cli_vehicle.app, name="vehicle")
+app.registered_commands += cli_files.app.registered_commands
 
 
 @app.callback()
@@ -76,6 +77,9 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder that holds the runs.")] = Path("runs"),
     sumo_gui: Annotated[bool, typer.Option("--sumo-gui", help="Watch in SUMO's own window.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer when done.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show the recording in the Rerun viewer while the run goes on.")
+    ] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.")] = False,
     baseline_native: Annotated[
         bool, typer.Option("--baseline-native", help="Also let SUMO drive the ego, and compare.")
@@ -84,37 +88,25 @@ def run(
     """Drive one scenario: writes OUT/<scenario>/<controller>-seed<k>/ with run.rrd, trace.parquet, summary.json."""
     from emran_sumo import terminal
 
-    given = {"controller": controller, "seed": seed, "traffic.density": density, "duration": duration}
     flags = {
-        "controller": "--controller",
-        "seed": "--seed",
-        "traffic.density": "--density",
-        "duration": "--duration",
-    }
-    overrides: dict[str, tuple[Any, str]] = {
-        key: (float(value) if isinstance(value, int) and key != "seed" else value, flags[key])
-        for key, value in given.items()
-        if value is not None
+        "controller": ("--controller", controller),
+        "seed": ("--seed", seed),
+        "traffic.density": ("--density", density),
+        "duration": ("--duration", duration),
     }
     with terminal.Display() as display:
         display.phase("load", 0.0, 0.0)
         from emran_sumo import drive
-        from emran_sumo.scenario import chosen_egos, load, parse_value, values_in
-        from emran_sumo.vehicles import vehicle_overrides
+        from emran_sumo.options import overrides
+        from emran_sumo.scenario import chosen_egos, load
 
-        overrides |= chosen_egos(ego, ego_type, penetration)
-        for file in reversed(set_file or []):  # the last one wins, and flags win over all
-            overrides = {**{key: (value, str(file)) for key, value in values_in(file).items()}, **overrides}
-        if vehicle is not None:
-            overrides = {**vehicle_overrides(vehicle), **overrides}
-        for text in set_ or []:
-            key, equals, value = text.partition("=")
-            if not equals or not key:
-                raise UserError(f'--set: found "{text}"; accepted is KEY=VALUE, e.g. road.friction=0.6.')
-            overrides[key.strip()] = (parse_value(value.strip()), "--set")
-        located = load(scenario, overrides)
+        chosen = chosen_egos(ego, ego_type, penetration)
+        located = load(scenario, overrides(flags, set_, set_file, chosen, vehicle))
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
-        result = drive.run(located, out, record=not no_record, gui=sumo_gui, command=command, progress=display.phase)
+        shown = _live_viewer(no_record) if live else ""
+        result = drive.run(
+            located, out, record=not no_record, gui=sumo_gui, live=shown, command=command, progress=display.phase
+        )
         native = drive.native(located, result, display.phase) if baseline_native else None
     _finish(result, not no_record, view)
     if native is not None:
@@ -186,6 +178,14 @@ def paper(
     recompute(
         table or [], json_file=json_file, markdown=markdown, literal=literal, noise=noise, delay=delay, workers=workers
     )
+
+
+def _live_viewer(no_record: bool) -> str:
+    if no_record:
+        raise UserError("--live: found with --no-record; accepted is --live alone, which shows what is recorded.")
+    from emran_sumo.viewer import listening_viewer
+
+    return listening_viewer()
 
 
 def _finish(result: "RunResult", recorded: bool, view: bool) -> None:

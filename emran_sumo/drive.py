@@ -42,7 +42,8 @@ class RunResult(NamedTuple):
     """Outcome of a run.
 
     folder: where its files lie; ended: "finished", "arrived", "collision", "diverged", "lost" or "interrupted"; reason:
-    one sentence; metrics: by group; trace: (n, len(COLUMNS)). All of the first ego; the others are in the summary.
+    one sentence; metrics: by group; trace: (n, len(COLUMNS)); shape: its outline. All of the first ego; the others are
+    in the summary.
     """
 
     folder: Path
@@ -50,6 +51,7 @@ class RunResult(NamedTuple):
     reason: str
     metrics: dict[str, dict[str, Any]]
     trace: np.ndarray
+    shape: EgoShape
 
 
 class Driven(NamedTuple):
@@ -72,6 +74,7 @@ def run(
     *,
     record: bool = True,
     gui: bool = False,
+    live: str = "",
     command: str = "",
     progress: Progress = lambda *_: None,
 ) -> RunResult:
@@ -82,6 +85,7 @@ def run(
         out: folder that holds the runs; the run's own is <scenario>/<controller>-seed<k> in it.
         record: write run.rrd.
         gui: open SUMO's own window.
+        live: address of a viewer that shows the recording while it is written.
         command: what the user typed, kept in the summary.
         progress: called with (phase, seconds done, seconds in all).
 
@@ -89,11 +93,11 @@ def run(
         UserError: a file, id or folder is not usable.
     """
     with stoppable() as stop:
-        return _run(located, Path(out), stop, record, gui, command, progress)
+        return _run(located, Path(out), stop, record, gui, live, command, progress)
 
 
 def _run(
-    located: Located, out: Path, stop: Stop, record: bool, gui: bool, command: str, progress: Progress
+    located: Located, out: Path, stop: Stop, record: bool, gui: bool, live: str, command: str, progress: Progress
 ) -> RunResult:
     scenario = located.values
     open_world = opening(located)
@@ -108,7 +112,7 @@ def _run(
         first = next(iter(egos.values())).ego
         clear(folder)  # the older run stays until the new one has begun
         stop.driving = True
-        recorder = _open_recorder(folder, located, first, world, told) if record else None
+        recorder = _open_recorder(folder, located, first, world, told, live) if record else None
         with recorder or contextlib.nullcontext():
             host = Host(world, scenario, egos, selection, recorder, stop, progress)
             host.drive(real_time=gui)
@@ -117,7 +121,7 @@ def _run(
                 recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
         write_traces(folder, host)
         write_summary(folder / "summary.json", summary)
-    return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace())
+    return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace(), _shape(first))
 
 
 def native(located: Located, result: RunResult, progress: Progress = lambda *_: None) -> Native:
@@ -346,13 +350,17 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
     ego.told = len(ego.events)
 
 
-def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any]) -> Recorder:
-    s, v = located.values, ego.vehicle
-    shape = EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)
+def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any], live: str) -> Recorder:
+    s, shape = located.values, _shape(ego)
     name = f"{located.name}, {s.controller}, seed {s.seed}"
     identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
     try:
-        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS)
+        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS, live=live)
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None
+
+
+def _shape(ego: Ego) -> EgoShape:
+    v = ego.vehicle
+    return EgoShape(v.length, v.width, EGO_HEIGHT, v.front_axle + v.rear_axle, v.front_axle, v.front_overhang)

@@ -10,6 +10,7 @@ from emran_sumo import metrics
 from emran_sumo.ego import COLUMNS, UNITS
 from emran_sumo.loop import AT
 from emran_sumo.opening import World
+from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.recording.table import write_trace
 from emran_sumo.world.flow import PERIOD, Flow
 from emran_sumo.world.sumo import SumoWorld
@@ -50,7 +51,13 @@ def summary_of(host: Any, told: dict[str, Any]) -> dict[str, Any]:
     if len(host.all) > 1:
         summary["egos"] = {name: {**host.outcomes[name]._asdict(), "metrics": found[name]} for name in host.all}
     notes = host.world.notes if isinstance(host.world, SumoWorld) else ()
-    return summary | {"ego": host.shown, "notes": list(notes), "manifest": told}
+    outline = _outline(host.all[host.shown].ego.vehicle)
+    return summary | {"ego": host.shown, "outline": outline, "notes": list(notes), "manifest": told}
+
+
+def _outline(v: VehicleParams) -> dict[str, float]:
+    """Length and width of the body and how far its center is ahead of the center of gravity [m]."""
+    return {"length": v.length, "width": v.width, "ahead": v.front_axle + v.front_overhang - 0.5 * v.length}
 
 
 def _measure(host: Any, driven: Any) -> dict[str, dict[str, Any]]:

@@ -1,14 +1,17 @@
 """What a run shows on the terminal: a progress bar while it drives, a table when it is done."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from emran_sumo.compare import Row
     from emran_sumo.drive import RunResult
     from emran_sumo.tune import Step, Tuned
     from emran_sumo.world.native import Native
@@ -20,6 +23,7 @@ _WORDS = {
     "wait": "waiting for the ego to depart",
     "native": "the same with SUMO driving",
     "drive": "driving",
+    "draw": "drawing",
 }
 _REFRESH = 0.1  # s
 
@@ -42,7 +46,7 @@ class Display:
             disable=not console.is_terminal,
         )
         self._task: TaskID | None = None
-        self._name = ""
+        self._name = self._whose = ""
         self._began = self._shown = 0.0
 
     def __enter__(self) -> Self:
@@ -51,6 +55,11 @@ class Display:
 
     def __exit__(self, *_) -> None:
         self._progress.stop()
+
+    def about(self, whose: str) -> Callable[[str, float, float], None]:
+        """`phase` for one of several runs, whose name is shown in front."""
+        self._name, self._whose = "", f"{whose}: "
+        return self.phase
 
     def phase(self, name: str, done: float, total: float) -> None:
         """Show that phase `name` has done `done` of `total` seconds; 0 of 0 where it cannot be known."""
@@ -65,7 +74,7 @@ class Display:
             note = f"{done:5.1f} / {total:g} s, {done / (now - self._began):.0f} x real time"
         elif name == "wait":
             note = f"{done:5.1f} s"
-        elif name in ("warm-up", "native"):
+        elif name in ("warm-up", "native", "draw"):
             note = f"{done:5.1f} / {total:g} s"
         assert self._task is not None
         self._progress.update(self._task, completed=done, note=note)
@@ -75,7 +84,9 @@ class Display:
             self._progress.remove_task(self._task)
         if name == "compile" and not self._progress.console.is_terminal:
             self._progress.console.print(_WORDS[name])
-        self._task = self._progress.add_task(_WORDS[name], total=total if name != "compile" else None, note="")
+        self._task = self._progress.add_task(
+            self._whose + _WORDS[name], total=total if name != "compile" else None, note=""
+        )
         self._name, self._began = name, now
 
 
@@ -180,6 +191,24 @@ def show_native(result: "RunResult", native: "Native") -> None:
     for name, ours, theirs, unit in rows:
         table.add_row(name, f"{ours:.1f} {unit}", f"{theirs:.1f} {unit}")
     Console().print("", table)
+
+
+def show_comparison(file: Path, controllers: list[str], rows: "list[Row]") -> None:
+    """Print one row per measure, one column per controller; the best value of a row is marked."""
+    console = Console()
+    table = Table("", "", box=None, header_style="bold", pad_edge=False)
+    for name in controllers:
+        table.add_column(name, justify="right", no_wrap=True)
+    group = ""
+    for row in rows:
+        if group and row.group != group:
+            table.add_row()
+        cells = (f"[bold green]{text} *[/]" if i in row.best else f"{text}  " for i, text in enumerate(row.values))
+        table.add_row(row.group if row.group != group else "", escape(row.words), *cells)
+        group = row.group
+    console.print(table)
+    console.print("* best of the row", style="dim", highlight=False)
+    console.print(f"\nopen it:  emran-sumo view {_shown(file)}", highlight=False, soft_wrap=True)
 
 
 def _shown(path: Path) -> str:

@@ -7,15 +7,14 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "emran_sumo"
 FLOORS = (
-    "__init__ kernels units errors locate shipped controllers",
+    "__init__ kernels units errors locate shipped controllers print_style",
     "plant path",
     "control",
     "loop conditioning",
-    "world recording metrics encounters maneuver scenario viewer",
-    "vehicles vehicle_figure ego planner selection opening warm manifest stop results drive bench report tuning search "
-    "checkpoint tune paper",
-    "study",
-    "terminal cli_study cli_vehicle cli",
+    "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found",
+    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
+    "study compare export",
+    "terminal cli_study cli_vehicle cli_files cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
 DOORS = {"libsumo": "world", "traci": "world", "sumolib": "world", "rerun": "recording", "numba": "kernels"}

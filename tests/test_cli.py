@@ -34,7 +34,10 @@ def test_help_answers_at_once():
     assert min(took) < 1.0  # 0.4 s on a machine that does nothing else
 
 
-@pytest.mark.parametrize("words", [("--help",), ("run", "--help"), ("list",)])
+@pytest.mark.parametrize(
+    "words",
+    [("--help",), ("run", "--help"), ("list",), ("compare", "--help"), ("view", "--help"), ("export", "--help")],
+)
 def test_nothing_heavy_is_imported_for_it(words):
     told = emran_sumo_modules(*words)
     assert not [name for name in HEAVY if name in told]
@@ -74,12 +77,47 @@ def test_run_help_names_every_option():
 
 
 @pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("compare", ("--controllers", "--seed", "--density", "--set", "--set-file", "--out", "--view", "compare.rrd")),
+        ("view", ("RUN...", "newest")),
+        ("export", ("--format", "csv, parquet, png or mp4", "--out")),
+        ("run", ("--live",)),
+    ],
+)
+def test_the_help_of_commands_for_recordings_names_what_they_take(command, said):
+    told = " ".join(emran_sumo(command, "--help").stdout.split())
+    assert not [words for words in said if words not in told]
+
+
+@pytest.mark.parametrize(
     ("words", "sentence"),
     [
         (("run", "highway_dcl"), r'emran-sumo: Unknown scenario "highway_dcl"\. Did you mean "highway_dlc"\?\n'),
         (("run", "highway_dlc", "--density", "-1"), r"emran-sumo: --density: .*vehicles/km/lane\.\n"),
         (("run", "highway_dlc", "--set", "network=moon"), r'emran-sumo: network: found "moon"; .*\n'),
         (("run", "highway_dlc", "--sumo-gui"), r"emran-sumo: --sumo-gui: there is no display; .*\n"),
+        (("run", "highway_dlc", "--live", "--no-record"), r"emran-sumo: --live: found with --no-record; .*\.\n"),
+        (("compare", "highway_dlc"), r"emran-sumo: Missing option '--controllers'\. Try `emran-sumo --help`\.\n"),
+        (
+            ("compare", "highway_dlc", "--controllers", "pid-stanly,coupled-emran"),
+            r'emran-sumo: --controllers: found "pid-stanly"\. Did you mean "pid-stanley"\?\n',
+        ),
+        (
+            ("compare", "highway_dcl", "--controllers", "pid-stanley,coupled-emran"),
+            r'emran-sumo: Unknown scenario "highway_dcl"\. Did you mean "highway_dlc"\?\n',
+        ),
+        (
+            ("compare", "highway_dlc", "--controllers", "pid-stanley,coupled-emran", "--out", "/dev/null"),
+            r"emran-sumo: --out: cannot write to /dev/null/.*; accepted is a writable folder\.\n",
+        ),
+        (("view", "runs/gone"), r'emran-sumo: RUN: found "runs/gone"; no such run\. No runs lie near; .*\n'),
+        (("view",), r"emran-sumo: Missing argument 'RUN\.\.\.'\. Try `emran-sumo --help`\.\n"),
+        (("export", ".", "--format", "csv"), r'emran-sumo: RUN: found "\."; there is no trace\.parquet in it; .*\n'),
+        (
+            ("export", ".", "--format", "gif"),
+            r'emran-sumo: --format: found "gif"; accepted is csv, parquet, png or mp4\.\n',
+        ),
         (("drive",), r"emran-sumo: No such command 'drive'\. Try `emran-sumo --help`\.\n"),
     ],
     ids=str,
@@ -173,6 +211,19 @@ def test_the_viewer_that_finds_no_display_says_so_and_the_run_stays(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("emran-sumo: --view: the Rerun viewer did not open: ")
     assert (tmp_path / "highway_dlc" / "coupled-emran-seed1" / "run.rrd").stat().st_size > 0
+
+
+@pytest.mark.parametrize("words", [("run", "highway_dlc", "--live"), ("view", "a.rrd")])
+def test_a_viewer_that_finds_no_display_says_so_in_one_sentence(words, tmp_path):
+    if sys.platform != "linux":
+        pytest.skip("a window needs no display variable there")
+    (tmp_path / "a.rrd").touch()
+    done = emran_sumo(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"emran-sumo: (view|--live): the Rerun viewer did not open: there is no display; .*\.\n", done.stderr
+    )
+    assert not (tmp_path / "runs").exists(), "nothing was driven"
 
 
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Debian's xvfb")

@@ -14,6 +14,11 @@ SPEED_STOPS = np.array([0.0, 8.0, 16.0, 24.0, 32.0])  # m/s
 SPEED_COLORS = np.array([(220, 50, 47), (245, 140, 40), (250, 215, 70), (95, 205, 130), (70, 150, 255)], dtype=float)
 LEGEND = "traffic by speed: red 0, orange 8, yellow 16, green 24, blue 32 m/s"
 
+# One per compared controller, in their order: Okabe and Ito's hues, which color-blind readers can tell apart
+COMPARED = (
+    (222, 143, 5), (64, 160, 230), (214, 92, 170), (2, 158, 115), (213, 94, 0), (130, 120, 235), (148, 163, 184),
+)  # fmt: skip
+
 
 def packed(colors: Iterable[tuple[int, int, int]]) -> np.ndarray:
     """Opaque 0xRRGGBBAA of (n, 3) colors in 0..255, the one form Rerun cannot misread."""

@@ -4,6 +4,7 @@ Rows are gathered and sent as columns every 4 s of simulated time: memory stays 
 at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -42,6 +43,7 @@ class Recorder:
         road: drawn once.
         ego: outline of the ego.
         columns: names of the trace columns, in order.
+        live: address of a viewer that is to show the run while it goes on; it may be closed at any time.
 
     Raises:
         KeyError: a column that a plot shows is missing.
@@ -57,6 +59,7 @@ class Recorder:
         road: Road,
         ego: EgoShape,
         columns: Sequence[str],
+        live: str = "",
     ) -> None:
         self._column = {column: i for i, column in enumerate(columns)}
         self._curves = [
@@ -65,6 +68,7 @@ class Recorder:
         self._pose = [self._index(c) for c in ("x", "y", "yaw", "reference_yaw", "steer")]
         self._time = self._index("time")
         self._name = name
+        self._live = bool(live)
         self._closed = False
         self._chunk: int | None = None
         self._last_point: np.ndarray | None = None
@@ -75,7 +79,8 @@ class Recorder:
         Path(file).parent.mkdir(parents=True, exist_ok=True)
         # No wall-clock time anywhere: it would make equal runs differ.
         self._stream = rr.RecordingStream(application, recording_id=recording, send_properties=False)
-        self._stream.save(str(file))
+        sinks = [rr.FileSink(str(file))] + ([rr.GrpcSink(live)] if live else [])
+        self._stream.set_sinks(*sinks)
         self._stream.set_log_time_enabled(False)
         self._stream.send_blueprint(layout(shapes.bounds), make_active=True, make_default=True)
         self._stream.send_recording_name(name)
@@ -146,7 +151,8 @@ class Recorder:
             self._summary(f"**{self._name}**: finished" if summary_markdown is None else summary_markdown)
             if properties:
                 self._stream.send_property("run", rr.AnyValues(**properties))  # pyright: ignore[reportArgumentType]
-            self._stream.flush()
+            with contextlib.suppress(RuntimeError) if self._live else contextlib.nullcontext():
+                self._stream.flush()  # raises where the viewer has been closed; the file is finished all the same
             self._stream.disconnect()
 
     def _index(self, column: str) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 
@@ -42,6 +43,13 @@ def write_trace(
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_csv(trace: Path, file: Path, units: Mapping[str, str]) -> None:
+    """Write a trace as text, a header of names and units first; every number reads back as the same float64."""
+    table = pq.read_table(trace)
+    header = [f"{name} [{units[name]}]" if name in units else name for name in table.column_names]
+    csv.write_csv(table.rename_columns(header), file, csv.WriteOptions(quoting_style="none"))
 
 
 def read_trace(file: Path | str) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The figures of a study's report: the one door to matplotlib. Colors, markers and dashes tell the series apart."""
+"""The figures of a study's report: drawn by matplotlib. Colors, markers and dashes tell the series apart."""
 
 import io
 from typing import Any, NamedTuple
@@ -8,12 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from emran_sumo.print_style import COLORS, STYLE
 from emran_sumo.study import statistics
 from emran_sumo.study.statistics import Estimate, Paired
 from emran_sumo.study.tables import GRAVITY, HORIZON, LEAST_TTC, METRICS, TRAVEL_TIME, Metric, Slice
 
-# Okabe and Ito's palette, which color-blind readers can tell apart, darkest first so that it also survives gray print
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)), (0, (2, 2)))
 SIGNIFICANT = 0.05
@@ -27,30 +26,6 @@ _WORDS = {
     "track.speed": "speed (m/s)",
     "duration": "duration (s)",
     "": "",
-}
-STYLE: Any = {
-    "font.size": 8.0,
-    "axes.titlesize": 8.0,
-    "axes.labelsize": 8.0,
-    "legend.fontsize": 8.0,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#d9d9d9",
-    "grid.linewidth": 0.5,
-    "axes.linewidth": 0.7,
-    "axes.edgecolor": "#444444",
-    "lines.linewidth": 1.4,
-    "lines.markersize": 4.0,
-    "legend.frameon": False,
-    "savefig.facecolor": "white",
-    "svg.fonttype": "path",
-    "svg.hashsalt": "emran_sumo",
-    "pdf.fonttype": 42,
-    "figure.constrained_layout.use": True,
 }
 
 

@@ -1,0 +1,83 @@
+"""Exporting one run: which file is meant, which one is written."""
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from emran_sumo import found
+from emran_sumo.ego import UNITS
+from emran_sumo.errors import UserError
+from emran_sumo.recording.table import read_trace, write_csv
+from emran_sumo.report import verdict
+from emran_sumo.warm import Progress
+
+FORMATS = ("csv", "parquet", "png", "mp4")
+NAMES = {"csv": "trace.csv", "png": "figures.png", "mp4": "video.mp4"}
+
+
+def export(run: Path, kind: str, out: Path | None = None, progress: Progress = lambda *_: None) -> Path:
+    """Write a run in another form; returns the file, which appears complete or not at all.
+
+    Args:
+        run: as for `found.trace`.
+        kind: "csv", "parquet", "png" or "mp4".
+        out: file to write; beside the trace where none is given. A trace is Parquet already.
+        progress: called with ("draw", seconds drawn, seconds in all) for a video.
+
+    Raises:
+        UserError: no such run or format, the file cannot be written, there is no encoder.
+    """
+    if kind not in FORMATS:
+        raise UserError(f'--format: found "{kind}"; accepted is {", ".join(FORMATS[:-1])} or {FORMATS[-1]}.')
+    trace = found.trace(run)
+    if kind == "parquet" and out is None:
+        return trace
+    file = out or trace.with_name(NAMES[kind])
+    if kind == "csv":
+        return _complete(file, lambda part: write_csv(trace, part, UNITS))
+    if kind == "parquet":
+        return _complete(file, lambda part: shutil.copyfile(trace, part))
+    summary = _summary(trace.with_name("summary.json"))
+    columns = read_trace(trace)
+    if not columns["time"].size:
+        raise UserError(f"{trace}: the run ended before its first step; there is nothing to draw.")
+    if kind == "png":
+        from emran_sumo.export.sheet import draw_sheet
+
+        return _complete(file, lambda part: draw_sheet(part, columns, verdict(summary)))
+    from emran_sumo.export.encoder import find_encoder
+    from emran_sumo.export.video import draw_video
+    from emran_sumo.recording.playback import read_scene
+
+    encoder = find_encoder()
+    recording = trace.with_name("run.rrd")
+    if not recording.is_file():
+        raise UserError(f"{recording}: not there; a video needs the recording of the run, made without --no-record.")
+    scene = read_scene(recording)
+    return _complete(file, lambda part: draw_video(part, encoder, columns, scene, summary, progress))
+
+
+def _summary(file: Path) -> dict:
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "it is no JSON"
+        raise UserError(f"{file}: cannot be read: {reason}; accepted is the folder of a finished run.") from None
+
+
+def _complete(file: Path, write: Callable[[Path], object]) -> Path:
+    part = file.with_name(f".{os.getpid()}.{file.name}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write(part)
+        os.replace(part, file)
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(f"--out: cannot write {file}: {reason}; accepted is a file that can be written.") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+    return file
