@@ -10,11 +10,12 @@ from emran_sumo.control.emran import LEARNED, NEURONS, SAMPLES, EmranMemory
 from emran_sumo.loop import AT, ControlParams, Networks
 from emran_sumo.recording.colors import AMBER, GREEN, SLATE, TEAL, VIOLET, packed
 from emran_sumo.recording.plots import ARCHETYPE
-from emran_sumo.recording.stream import Stream, Values
+from emran_sumo.recording.stream import Stream, series
 
 INSIGHT_PERIOD = 500  # ms
 SHOWN = 16  # neurons of a network whose weights and widths are plotted
 GRAVITY = 9.81  # m/s2
+DRAWN = 0.2  # of its width is the radius of a neuron's sphere: whole ones would hide each other
 COLORS = {"steering": VIOLET, "speed": TEAL}
 # the three inputs that span the view of each network; the fourth of the steering network, the yaw rate, is not shown
 AXES = {"steering": "cross-track error →, heading error ↑", "speed": "speed →, acceleration ↑"}
@@ -80,26 +81,22 @@ def style_insights(stream: Stream) -> None:
     """What never changes about the views of the networks."""
     for network in COLORS:
         shape = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(1.2))
-        stream.static(f"/networks/{network}/neurons", shape)
-        point = rr.Points3D.from_fields(radii=rr.Radius.ui_points(5), colors=packed([AMBER]))
-        stream.static(f"/networks/{network}/point", point)
+        stream.static(f"/networks/{network}/centers", shape)
 
 
 def send_insights(stream: Stream, network: str, times: np.ndarray, seen: list[Insight]) -> None:
-    """Send one network at `times` (n,) [ms]: spheres of one width about each center, and the plotted numbers."""
-    counts = [len(one.widths) for one in seen]
-    widths = np.concatenate([one.widths for one in seen])
-    weights = np.concatenate([one.weights for one in seen])
-    centers = np.concatenate([one.centers[:, :3] for one in seen])
-    colors = np.where(weights >= 0.0, packed([GREEN]), packed([SLATE])).astype(np.uint32)
+    """Send one network at `times` (n,) [ms]: spheres about the centers, the last one where the car is, and the plotted
+    numbers."""
+    centers = np.concatenate([np.vstack((one.centers, one.point))[:, :3] for one in seen])
+    radii = np.concatenate([np.append(DRAWN * one.widths, _point_size(one)) for one in seen])
+    colors = np.concatenate([np.append(_signs(one.weights), packed([AMBER])) for one in seen]).astype(np.uint32)
     spheres = rr.Ellipsoids3D.columns(
         centers=centers.astype(np.float32),
-        half_sizes=np.repeat(widths, 3).reshape(-1, 3).astype(np.float32),
+        half_sizes=np.repeat(radii, 3).reshape(-1, 3).astype(np.float32),
         colors=colors,
     )
-    stream.send(f"/networks/{network}/neurons", times, spheres.partition(counts))
-    points = np.stack([one.point[:3] for one in seen]).astype(np.float32)
-    stream.send(f"/networks/{network}/point", times, rr.Points3D.columns(positions=points))
+    counts = [len(one.widths) + 1 for one in seen]
+    stream.send(f"/networks/{network}/centers", times, spheres.partition(counts))
     columns = [
         _column("weights", np.stack([_padded(one.weights) for one in seen])),
         _column("widths", np.stack([_padded(one.widths) for one in seen])),
@@ -109,16 +106,21 @@ def send_insights(stream: Stream, network: str, times: np.ndarray, seen: list[In
     stream.send(f"/plots/{network}_network", times, columns)
 
 
+def _signs(weights: np.ndarray) -> np.ndarray:
+    return np.where(weights >= 0.0, packed([GREEN]), packed([SLATE]))
+
+
+def _point_size(one: Insight) -> float:
+    """Radius of the sphere that is the car: half of an average neuron's."""
+    return 0.5 * DRAWN * float(one.widths.mean()) if len(one.widths) else DRAWN
+
+
 def _padded(values: np.ndarray) -> np.ndarray:
-    """(SHOWN,) the first values, NaN where there are none."""
-    found = np.full(SHOWN, np.nan)
+    """(SHOWN,) the first values, 0 where there are none: the viewer wants as many in every row."""
+    found = np.zeros(SHOWN)
     found[: min(len(values), SHOWN)] = values[:SHOWN]
     return found
 
 
 def _column(name: str, values: np.ndarray) -> rr.ComponentColumn:
-    """(n, k) values as k series."""
-    plain = Values(values.astype(np.float32).ravel())
-    return rr.ComponentColumn(
-        rr.ComponentDescriptor(f"{ARCHETYPE}:{name}"), plain, lengths=[values.shape[1]] * len(values)
-    )
+    return series(rr.ComponentDescriptor(f"{ARCHETYPE}:{name}"), values)

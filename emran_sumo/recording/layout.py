@@ -6,7 +6,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from emran_sumo.recording.colors import LEGEND, NIGHT, packed
-from emran_sumo.recording.insight import AXES, Insight
+from emran_sumo.recording.insight import AXES, DRAWN, Insight
 from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve, Plot, ticked
 from emran_sumo.recording.stream import TIMELINE
 
@@ -17,10 +17,9 @@ TABS = {
     "Tracking": (("cross_track_error",), ("heading_error",), ("speed",), ("speed_error",)),
     "Tires and plant": (
         (FORCES, "friction_use"),
-        ("slip_angle", "slip_ratio"),
-        ("load", "friction"),
+        ("slip_angle", "slip_ratio", "load"),
+        ("friction", "grade", "force_external"),
         ("yaw_rate", "accel_lat"),
-        ("grade", "force_external"),
     ),
     "Longitudinal network": (
         ("acceleration", "torque"),
@@ -34,9 +33,9 @@ TABS = {
         ("share_learned_steering", "covariance_steering"),
         (SPACE_STEERING, "weights_steering", "widths_steering"),
     ),
-    "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",), ("acceleration",)),
+    "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",)),
 }
-FIRST_TABS = ("Overview", "Safety")
+FIRST_TABS = ("Overview",)
 
 
 class Extents:
@@ -55,7 +54,7 @@ class Extents:
         """Keep the middle and the size of where a network's neurons are."""
         places = np.concatenate((seen.centers, seen.point[None]))[:, :3]
         low, high = places.min(axis=0), places.max(axis=0)
-        widest = float(seen.widths.max(initial=1.0))
+        widest = DRAWN * float(seen.widths.max(initial=1.0))
         self.spaces[network] = (0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + widest)
 
     def of(self, plot: Plot) -> tuple[float, float] | None:
@@ -68,7 +67,7 @@ class Extents:
         low, high = self._low[at].min(), self._high[at].max()
         if plot.least is not None:
             low, high = min(low, plot.least[0]), max(high, plot.least[1])
-        return ticked(float(low), float(high), 8 if len(plot.curves) > 3 else 5)
+        return ticked(float(low), float(high))
 
 
 def layout(bounds: tuple[float, float, float, float], extents: Extents | None = None) -> rrb.Blueprint:
@@ -154,14 +153,14 @@ def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> r
 def _tire_forces() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="/tires",
-        name="Tire forces per axle [kN], ahead is up; circle: friction × load",
+        name="Tire forces; circle: friction × load",
         background=list(NIGHT),
         visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-11.0, 9.5]),
     )
 
 
 def _space(network: str, extents: Extents) -> rrb.Spatial3DView:
-    """Spheres of one width about each center, seen from above; the dot is where the car is."""
+    """Small spheres about the centers, seen from above; the amber one is where the car is."""
     (x, y, z), reach = extents.spaces.get(network, (np.zeros(3), 5.0))
     eye = rrb.EyeControls3D(
         kind="Orbital", position=(x, y - 0.4 * reach, z + 2.4 * reach), look_target=(x, y, z), eye_up=(0, 1, 0)

@@ -44,8 +44,7 @@ class EgoMotion:
         self._send_trail(times, points)
         self._send_brakes(times, torque)
         self._send_force(times, force)
-        for axle, middle, _ in AXLES:
-            self._send_tire(times, axle, middle, rows[:, self._tires[axle]].T / 1e3, friction)
+        self._send_tires(times, rows, friction)
 
     def _send_trail(self, times: np.ndarray, points: np.ndarray) -> None:
         """One segment per step, from where the ego was a step before."""
@@ -77,29 +76,38 @@ class EgoMotion:
         )
         self._stream.send("/world/ego/side_force", times[new], columns.partition((acting != 0.0).astype(int)))
 
-    def _send_tire(self, times: np.ndarray, axle: str, middle: float, forces: np.ndarray, friction: np.ndarray) -> None:
-        long, lat, load = forces
-        vectors = np.column_stack((-lat, -long)).astype(np.float32)  # left is left, ahead is up
-        self._stream.send(f"/tires/{axle}/force", times, rr.Arrows2D.columns(vectors=vectors))
-        limit = np.rint(np.maximum(friction * load, 0.0) / LOAD_STEP) * LOAD_STEP
-        new = self._limits[axle](limit)
-        radius = np.maximum(limit[new], LOAD_STEP).astype(np.float32)
-        places = np.tile(np.array([middle, 0.0, 0.0], dtype=np.float32), (len(radius), 1))
-        columns = rr.Transform3D.columns(
-            translation=places, scale=np.column_stack((radius, radius, np.ones_like(radius)))
+    def _send_tires(self, times: np.ndarray, rows: np.ndarray, friction: np.ndarray) -> None:
+        """One arrow per axle, left is left and ahead is up; and circles that grow with the load."""
+        vectors = []
+        for axle, middle, _ in AXLES:
+            long, lat, load = rows[:, self._tires[axle]].T / 1e3
+            vectors.append(np.column_stack((-lat, -long)))
+            limit = np.rint(np.maximum(friction * load, 0.0) / LOAD_STEP) * LOAD_STEP
+            new = self._limits[axle](limit)
+            radius = np.maximum(limit[new], LOAD_STEP).astype(np.float32)
+            places = np.tile(np.array([middle, 0.0, 0.0], dtype=np.float32), (len(radius), 1))
+            scale = np.column_stack((radius, radius, np.ones_like(radius)))
+            columns = rr.Transform3D.columns(translation=places, scale=scale)
+            self._stream.send(f"/tires/{axle}/limit", times[new], columns)
+        both = np.stack(vectors, axis=1).reshape(-1, 2).astype(np.float32)
+        self._stream.send(
+            "/tires/forces", times, rr.Arrows2D.columns(vectors=both).partition([len(AXLES)] * len(times))
         )
-        self._stream.send(f"/tires/{axle}/limit", times[new], columns)
 
 
 def _draw_tires(stream: Stream) -> None:
     """Circles of radius 1, scaled to friction times load while driving, and the axes of the car in each."""
     angle = np.linspace(0.0, 2.0 * np.pi, 65)
     circle = np.column_stack((np.cos(angle), np.sin(angle)))
+    arrows = rr.Arrows2D.from_fields(
+        origins=[(middle, 0.0) for _, middle, _ in AXLES],
+        radii=rr.Radius.ui_points(2.5),
+        colors=packed(color for *_, color in AXLES),
+    )
+    stream.static("/tires/forces", arrows)
     for axle, middle, color in AXLES:
         limit = rr.LineStrips2D([circle], radii=rr.Radius.ui_points(1.5), colors=packed([RED]))
         stream.static(f"/tires/{axle}/limit", limit)
-        arrow = rr.Arrows2D.from_fields(origins=[(middle, 0.0)], radii=rr.Radius.ui_points(2.5), colors=packed([color]))
-        stream.static(f"/tires/{axle}/force", arrow)
         axes = [[(middle - 9, 0), (middle + 9, 0)], [(middle, -9), (middle, 9)]]
         stream.static(
             f"/tires/{axle}/axes", rr.LineStrips2D(axes, radii=rr.Radius.ui_points(0.5), colors=packed([SLATE]))

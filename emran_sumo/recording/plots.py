@@ -90,12 +90,12 @@ PLOTS = {
         ),
     ),
     "torque": Plot("Wheel torque [N m]", (Curve("torque", "torque", BLUE),)),
-    "grade": Plot("Grade [deg], uphill positive", (Curve("grade", "grade", TEAL, "deg"),), least=(-1.1, 1.1)),
-    "friction": Plot("Friction of the road", (Curve("friction", "friction", TEAL),), least=(0.0, 1.1)),
+    "grade": Plot("Grade [deg]", (Curve("grade", "grade", TEAL, "deg"),), least=(-1.1, 1.1)),
+    "friction": Plot("Road friction", (Curve("friction", "friction", TEAL),), least=(0.0, 1.1)),
     "force_external": Plot(
-        "Side force from outside [kN]", (Curve("force_external_lat", "side force", RED, "kN"),), least=(-1.1, 1.1)
+        "Side force [kN]", (Curve("force_external_lat", "side force", RED, "kN"),), least=(-1.1, 1.1)
     ),
-    "gap": Plot("Gap to the vehicle ahead [m]", (Curve("lead_gap", "gap", BLUE),), least=(0.0, 11.0)),
+    "gap": Plot("Gap to the vehicle ahead [m]", (Curve("lead_gap", "gap", BLUE),), least=(0.0, 110.0), fixed=True),
     "time_to_collision": Plot(
         "Time to collision [s], while closing in",
         (Curve("time_to_collision", "TTC", AMBER),),
@@ -103,7 +103,10 @@ PLOTS = {
         fixed=True,
     ),
     "deceleration_to_avoid": Plot(
-        "Deceleration to avoid a collision [m/s²]", (Curve("deceleration_to_avoid", "DRAC", RED),), least=(0.0, 2.2)
+        "Deceleration to avoid a collision [m/s²]",
+        (Curve("deceleration_to_avoid", "DRAC", RED),),
+        least=(0.0, 11.0),
+        fixed=True,
     ),
     "yaw_rate": Plot("Yaw rate [deg/s]", (Curve("yaw_rate", "yaw rate", PINK, "deg"),)),
     "accel_lat": Plot("Lateral acceleration [m/s²]", (Curve("accel_lat", "lateral acceleration", PINK),)),

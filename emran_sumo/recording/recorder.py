@@ -20,15 +20,15 @@ from emran_sumo.recording.layout import Extents, layout
 from emran_sumo.recording.motion import EgoMotion
 from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
 from emran_sumo.recording.road import draw_road, road_shapes
-from emran_sumo.recording.stream import Stream, Values, turns
+from emran_sumo.recording.stream import Stream, series, turns
 from emran_sumo.recording.surroundings import Patch, draw_patch, draw_stop_lines, send_signals
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
 CHUNK = 4000  # ms of simulated time per chunk
 PLOT_PERIOD = 20  # ms between the samples of a plot
-REFERENCE_PERIOD = 100  # ms between the drawings of the path ahead
-REFERENCE_POINTS = 26  # points of the path ahead that are drawn
+REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
+REFERENCE_POINTS = 24  # points of the path ahead that are drawn
 # Positions of the traffic are rounded to 1/64 m, its turns to 1/4096: invisible, and a fifth smaller.
 _GRID, _TURN = 64.0, 4096.0
 
@@ -226,9 +226,9 @@ class Recorder:
             return
         # float32: the plots need no more, and the exact trace is a table of its own.
         values = (rows[sampled][:, self._sources] * self._scales).T.astype(np.float32)
-        values[~np.isfinite(values)] = np.nan  # a gap in the plot: nobody ahead, nothing to collide with
+        values[~np.isfinite(values)] = np.nan  # nobody ahead, nothing to collide with
         self._extents.include(values)
-        columns = [rr.ComponentColumn(name, Values(line)) for name, line in zip(self._curves, values, strict=True)]
+        columns = [series(name, line) for name, line in zip(self._curves, values, strict=True)]
         self._stream.send("/plots/ego", times[sampled], columns)
 
     def _send_scene(self) -> None:

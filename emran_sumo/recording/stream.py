@@ -49,6 +49,18 @@ class Values(NamedTuple):
         return pa.array(self.values)
 
 
+def series(component: rr.ComponentDescriptor, values: np.ndarray) -> rr.ComponentColumn:
+    """Scalars (n,), or k of them per row as (n, k); what is not finite is left out, which a plot shows as a gap.
+
+    A NaN would too, but equal files would compare as different.
+    """
+    table = values.astype(np.float32).reshape(len(values), -1)
+    finite = np.isfinite(table)
+    if table.shape[1] == 1 and finite.all():
+        return rr.ComponentColumn(component, Values(table.ravel()))
+    return rr.ComponentColumn(component, Values(table[finite]), lengths=finite.sum(axis=1))
+
+
 class Changes:
     """Finds the rows in which something differs from the row before, across chunks."""
 
