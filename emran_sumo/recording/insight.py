@@ -13,6 +13,7 @@ from emran_sumo.recording.plots import ARCHETYPE
 from emran_sumo.recording.stream import Stream, series
 
 INSIGHT_PERIOD = 500  # ms
+AT_ONCE = 16  # looks that are sent together: each sending costs as much as all its looks
 SHOWN = 16  # neurons of a network whose weights and widths are plotted
 GRAVITY = 9.81  # m/s2
 DRAWN = 0.2  # of its width is the radius of a neuron's sphere: whole ones would hide each other
@@ -42,8 +43,8 @@ def insight(memory: EmranMemory, point: np.ndarray) -> Insight:
     centers = memory.centers[:n].copy()
     covariance = np.nan
     if n:
-        winner = int(np.argmin(((centers - point) ** 2).sum(axis=1)))
-        covariance = float(np.trace(memory.covariance[winner]))
+        away = centers - point
+        covariance = float(memory.covariance[int((away * away).sum(axis=1).argmin())].trace())
     share = float(memory.counts[LEARNED] / max(memory.counts[SAMPLES], 1))
     return Insight(centers, memory.widths[:n].copy(), memory.weights[:n].copy(), covariance, share, point)
 

@@ -67,7 +67,7 @@ class Extents:
         low, high = self._low[at].min(), self._high[at].max()
         if plot.least is not None:
             low, high = min(low, plot.least[0]), max(high, plot.least[1])
-        return ticked(float(low), float(high))
+        return ticked(float(low), float(high), 6 if len(plot.curves) > 3 else 5)
 
 
 def layout(bounds: tuple[float, float, float, float], extents: Extents | None = None) -> rrb.Blueprint:

@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from emran_sumo.recording.car import EgoShape, draw_ego
 from emran_sumo.recording.colors import TEAL, packed, speed_colors
-from emran_sumo.recording.insight import COLORS, Insight, send_insights, style_insights
+from emran_sumo.recording.insight import AT_ONCE, COLORS, Insight, send_insights, style_insights
 from emran_sumo.recording.layout import Extents, layout
 from emran_sumo.recording.motion import EgoMotion
 from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
@@ -79,6 +79,7 @@ class Recorder:
         self._described: set[str] = set()
         self._last_state: dict[str, str] = {}
         self._extents = Extents(len(CURVES))
+        self._insights: dict[str, list[tuple[int, Insight]]] = {}
         self._forget()
 
         shapes = road_shapes(road)
@@ -187,7 +188,6 @@ class Recorder:
         self._events: list[tuple[int, str, str]] = []
         self._states: dict[str, list[tuple[int, str]]] = {}
         self._signals: list[tuple[int, str]] = []
-        self._insights: dict[str, list[tuple[int, Insight]]] = {}
 
     def _flush(self) -> None:
         if self._rows:
@@ -196,11 +196,7 @@ class Recorder:
             self._send_plots(rows)
             self._send_scene()
         send_signals(self._stream, self._signals)
-        for name in COLORS:
-            if name in self._insights:
-                times, seen = zip(*self._insights[name], strict=True)
-                self._extents.include_space(name, seen[-1])
-                send_insights(self._stream, name, np.array(times), list(seen))
+        self._send_insights()
         if self._events:
             times, levels, texts = zip(*self._events, strict=True)
             colors = packed(EVENT_COLORS[level] for level in levels)
@@ -209,6 +205,15 @@ class Recorder:
             times, values = zip(*changes, strict=True)
             self._stream.send(f"/state/{name}", np.array(times), rr.StateChange.columns(state=values))
         self._forget()
+
+    def _send_insights(self) -> None:
+        for name in COLORS:
+            looks = self._insights.get(name, [])
+            if looks and (self._closed or len(looks) >= AT_ONCE):
+                times, seen = zip(*looks, strict=True)
+                self._extents.include_space(name, seen[-1])
+                send_insights(self._stream, name, np.array(times), list(seen))
+                looks.clear()
 
     def _note(self, rows: np.ndarray) -> None:
         """Events and states that the rows themselves tell, in their order of time with the others."""

@@ -7,7 +7,7 @@ import rerun as rr
 
 from emran_sumo.path import Path
 from emran_sumo.plant.disturbance import DisturbanceParams
-from emran_sumo.recording.colors import PAINT, SIGNAL_COLORS, SLIPPERY, packed
+from emran_sumo.recording.colors import PAINT, SIGNAL_COLORS, SLATE, SLIPPERY, packed
 from emran_sumo.recording.road import ASPHALT_LEVEL, LINE_LEVEL, offset, ribbon
 from emran_sumo.recording.stream import Stream
 from emran_sumo.world.records import StopLine
@@ -77,7 +77,7 @@ def draw_patch(stream: Stream, patch: Patch) -> None:
     )
     stream.static("/world/road/patch", surface)
     word = rr.Points3D(
-        [(*patch.line[0], 0.1)], radii=rr.Radius.ui_points(0.1), colors=packed([SLIPPERY]),
+        [(*patch.line[0], 0.1)], radii=rr.Radius.ui_points(0.1), colors=packed([SLATE]),
         labels=f"friction × {patch.friction:g}", show_labels=True,
     )  # fmt: skip
     stream.static("/world/road/patch/label", word)
