@@ -1,5 +1,6 @@
 """The files of a run: what the viewer opens, what a reader reads back, what a crash leaves."""
 
+import json
 import os
 import signal
 import socket
@@ -9,6 +10,7 @@ import time
 import tracemalloc
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
+from emran_sumo import report
 from emran_sumo.control.emran import LEARNED, NEURONS, SAMPLES, EmranParams, blank_memory
 from emran_sumo.drive import run as drive_scenario
 from emran_sumo.path import Path as Line
@@ -686,6 +689,39 @@ def test_the_viewer_draws_every_view_without_a_complaint(recorded, tmp_path):
     for name, color in (("ego", colors.PINK), ("asphalt", colors.ASPHALT), ("path", colors.TEAL)):
         near = np.abs(scene - np.array(color)).max(axis=2) < 25
         assert near.sum() > 30, f"the {name} is not in the picture"
+
+
+def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_path):
+    located = load("urban_signals", {"duration": (12.0, "")})
+    result = drive_scenario(located, tmp_path, command="emran-sumo run urban_signals --duration 12")
+    file = result.folder / "run.rrd"
+    text = static_text(file)[-1]
+    summary = json.loads((result.folder / "summary.json").read_text())
+    told = summary["manifest"]
+    for group, name, *values in report.rows(summary):
+        assert f"| {group} | {name} | {values[0]} |" in text
+    for name, number in told["versions"].items():
+        assert f"{name} {number}" in text
+    assert text.startswith(f"**{report.verdict(summary)}**")
+    assert "`emran-sumo run urban_signals --duration 12`" in text
+    assert f"digest {told['digest']}" in text
+
+    # 28 links of two signals with 4 approaches each; static programs change at whole seconds of SUMO's clock
+    lines = static_of(file, "/world/signals/lines", "LineStrips3D:strips")
+    times, shown = rows_of(file, "/world/signals/lines", "LineStrips3D:colors")
+    assert {len(c) for c in shown} == {len(lines)}
+    assert times[0] == 50_000_000
+    known = set(colors.packed(colors.SIGNAL_COLORS.values()).tolist())
+    assert {c for row in shown for c in row} <= known
+    assert all(one != following for one, following in pairwise(shown)), "only changes are sent"
+
+    trace = read_trace(result.folder / "trace.parquet")
+    times, shares = rows_of(file, "/plots/speed_network", "trace:share_learned")
+    rows = np.rint(times / 1e7).astype(int) - 1
+    # the network sees no samples at walking speed: the share of those it saw is no smaller than that of all
+    assert (np.ravel(shares) >= 100.0 * trace["learned_speed"][rows] / (rows + 1) - 1e-4).all()
+    _, weights = rows_of(file, "/plots/speed_network", "trace:weights")
+    np.testing.assert_array_equal(np.count_nonzero(weights, axis=1), np.minimum(trace["neurons_speed"][rows], 16))
 
 
 @drawing

@@ -51,7 +51,7 @@ def insight(memory: EmranMemory, point: np.ndarray) -> Insight:
 
 def insights(control: ControlParams, networks: Networks, row: np.ndarray) -> Iterator[tuple[str, Insight]]:
     """The networks that act, by name, where a look is due at the time of the trace row."""
-    if round(row[AT.time] * 1e3) % INSIGHT_PERIOD:
+    if round(float(row[AT.time]) * 1e3) % INSIGHT_PERIOD:
         return
     if control.lateral.emran.authority > 0.0:
         yield "steering", insight(networks.steering, steering_point(control, row))
