@@ -17,7 +17,10 @@ from emran_sumo.manifest import clear, manifest, prepare, properties, writable, 
 from emran_sumo.opening import World, opening
 from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
 from emran_sumo.recording.car import EgoShape
+from emran_sumo.recording.insight import insights
 from emran_sumo.recording.recorder import Recorder
+from emran_sumo.recording.surroundings import patch_on
+from emran_sumo.recording.watch import Limits
 from emran_sumo.report import summary_markdown
 from emran_sumo.results import Tally, summary_of, write_traces
 from emran_sumo.scenario import Located, Scenario
@@ -27,6 +30,7 @@ from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.native import Native, watch
 from emran_sumo.world.records import NOBODY
 from emran_sumo.world.session import one_line
+from emran_sumo.world.signals import Signals, stop_lines
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
 
@@ -112,9 +116,10 @@ def _run(
         first = next(iter(egos.values())).ego
         clear(folder)  # the older run stays until the new one has begun
         stop.driving = True
-        recorder = _open_recorder(folder, located, first, world, told, live) if record else None
+        signals = Signals() if record and isinstance(world, SumoWorld) else None
+        recorder = _open_recorder(folder, located, first, world, told, live, signals) if record else None
         with recorder or contextlib.nullcontext():
-            host = Host(world, scenario, egos, selection, recorder, stop, progress)
+            host = Host(world, scenario, egos, selection, recorder, stop, progress, signals)
             host.drive(real_time=gui)
             summary = summary_of(host, told)
             if recorder is not None:
@@ -217,6 +222,7 @@ class Host:
         recorder: Recorder | None,
         stop: Stop,
         progress: Progress,
+        signals: Signals | None = None,
     ) -> None:
         self.world, self.scenario, self.recorder, self._selection = world, scenario, recorder, selection
         self.all = dict(egos)
@@ -226,7 +232,7 @@ class Host:
         self.tally = Tally(world)
         self.wall = 0.0
         self._off_road: dict[str, int] = {}  # steps in a row
-        self._stop, self._progress = stop, progress
+        self._stop, self._progress, self._signals = stop, progress, signals
 
     def drive(self, real_time: bool = False) -> None:
         """Drive until every ego has ended, or the duration; no faster than the clock on the wall with `real_time`."""
@@ -299,7 +305,7 @@ class Host:
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
             self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
-            _tell(self.recorder, ego, before)
+            _tell(self.recorder, ego, before, self._signals)
         if outcome is not None:
             self.outcomes[name] = outcome
             del self.active[name]
@@ -340,23 +346,44 @@ class Host:
         return Outcome("lost", f"its lane ended before its route did {where}")
 
 
-def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None) -> None:
-    control = ego.scenario.control
+def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
+    control, row = ego.scenario.control, ego.frames[-1][-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
     recorder.state(ego.time, "learning", learning_state(ego.frames[-1], before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)
+    for name, seen in insights(control, ego.networks, row):
+        recorder.network(ego.time, name, seen)
+    lights = signals.changed() if signals is not None else None
+    if lights is not None:
+        recorder.signals(ego.time, lights)
 
 
-def _open_recorder(folder: Path, located: Located, ego: Ego, world: World, told: dict[str, Any], live: str) -> Recorder:
-    s, shape = located.values, _shape(ego)
+def _open_recorder(
+    folder: Path,
+    located: Located,
+    ego: Ego,
+    world: World,
+    told: dict[str, Any],
+    live: str,
+    signals: Signals | None,
+) -> Recorder:
+    s, v = located.values, ego.vehicle
     name = f"{located.name}, {s.controller}, seed {s.seed}"
     identity = f"{located.name}-{s.controller}-seed{s.seed}-{told['digest']}"
     file = folder / "run.rrd"
+    road = world.road()
+    if isinstance(world, SumoWorld) and signals is not None:
+        road = road._replace(stop_lines=stop_lines(world.map, signals))
+    limits = Limits(v.steer_limit, v.steer_rate, s.longitudinal.accel_max, s.longitudinal.decel_max)
+    patch = patch_on(s.disturbance, ego.path, ego.lane_width)
     try:
-        return Recorder(file, recording=identity, name=name, road=world.road(), ego=shape, columns=COLUMNS, live=live)
+        return Recorder(
+            file, recording=identity, name=name, road=road, ego=_shape(ego), columns=COLUMNS,
+            limits=limits, patch=patch, live=live,
+        )  # fmt: skip
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None
 

@@ -86,4 +86,33 @@ def summary_markdown(summary: dict[str, Any]) -> str:
     head = " | ".join(name for name, _ in cells)
     line = " | ".join("---" for _ in cells)
     body = " | ".join(value for _, value in cells)
-    return f"**{verdict(summary)}**\n\n| {head} |\n| {line} |\n| {body} |\n\nRepeat: `{summary['manifest']['command']}`"
+    parts = [
+        f"**{verdict(summary)}**",
+        f"| {head} |\n| {line} |\n| {body} |",
+        f"Repeat: `{summary['manifest']['command']}`",
+        _all_metrics(summary),
+        _origin(summary["manifest"]),
+    ]
+    return "\n\n".join(parts)
+
+
+def _all_metrics(summary: dict[str, Any]) -> str:
+    """Every row of the table, by group."""
+    lines = [f"| {row.group} | {row.name} | {row.value} | {row.most} |" for row in rows(summary)]
+    return "\n".join(("| group | metric | RMS or value | largest |", "| --- | --- | --- | --- |", *lines))
+
+
+def _origin(manifest: dict[str, Any]) -> str:
+    """What the run was made of: scenario, seeds and versions."""
+    s = manifest["scenario"]
+    place = "analytic road" if s["world"] == "track" else s["config"] or s["network"]
+    told = [
+        ("title", s["title"]),
+        ("road", place),
+        ("controller", s["controller"]),
+        ("settings", f"digest {manifest['digest']}"),
+        ("seeds", ", ".join(f"{name} {seed}" for name, seed in manifest["seeds"].items())),
+        ("versions", ", ".join(f"{name} {number}" for name, number in manifest["versions"].items())),
+    ]
+    lines = [f"| {name} | {value} |" for name, value in told if value]
+    return "\n".join(("| scenario | " + manifest["scenario_name"] + " |", "| --- | --- |", *lines))

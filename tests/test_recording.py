@@ -1,5 +1,6 @@
 """The files of a run: what the viewer opens, what a reader reads back, what a crash leaves."""
 
+import json
 import os
 import signal
 import socket
@@ -9,23 +10,34 @@ import time
 import tracemalloc
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 import rerun_cli
 from PIL import Image
 from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
+from emran_sumo import report
+from emran_sumo.control.emran import LEARNED, NEURONS, SAMPLES, EmranParams, blank_memory
+from emran_sumo.drive import run as drive_scenario
+from emran_sumo.path import Path as Line
+from emran_sumo.plant.disturbance import DisturbanceParams
 from emran_sumo.recording import colors, plots, road
 from emran_sumo.recording.car import EgoShape
-from emran_sumo.recording.layout import TABS
+from emran_sumo.recording.insight import Insight, insight
+from emran_sumo.recording.layout import FORCES, SPACE_SPEED, SPACE_STEERING, TABS
 from emran_sumo.recording.recorder import Recorder
+from emran_sumo.recording.surroundings import Patch, patch_on
 from emran_sumo.recording.table import read_trace, read_units, write_trace
-from emran_sumo.world.records import Lane, Road, Traffic
+from emran_sumo.recording.watch import Limits, Watch
+from emran_sumo.scenario import load
+from emran_sumo.world.records import Lane, Road, StopLine, Traffic
 
 RERUN = str(Path(rerun_cli.__file__).parent / "rerun")  # the binary itself; `rerun` on PATH is a wrapper
 QUIET = {**os.environ, "CI": "1"}
@@ -37,7 +49,8 @@ COLUMNS = """
     slip_angle_rear load_front load_rear friction friction_use_front friction_use_rear speed_reference
     speed_error reference_yaw cross_track_error heading_error neurons_speed neurons_steering signal_speed
     signal_steering learned_speed learned_steering grown_speed grown_steering pruned_speed pruned_steering
-    merged_speed merged_steering
+    merged_speed merged_steering force_long_front force_long_rear force_lat_front force_lat_rear grade
+    force_external_lat lead_gap time_to_collision deceleration_to_avoid
 """.split()  # noqa: SIM905
 
 # The road: a highway bending left, and a street with a concave junction at its end.
@@ -50,6 +63,15 @@ def on_highway(s, left):
     return (BEND - left) * np.sin(yaw), BEND - (BEND - left) * np.cos(yaw), yaw
 
 
+STOPS = (
+    StopLine(np.array([(-1.75, 390.0), (1.75, 390.0)]), True),
+    StopLine(np.array([(1.75, 410.0), (-1.75, 410.0)]), True),
+    StopLine(np.array([(7.0, 390.0), (7.0, 410.0)]), False),
+)
+LIMITS = Limits(steer=0.6, steer_rate=0.8, accel=4.0, decel=9.0)
+PATCH = Patch(np.column_stack((np.linspace(100.0, 140.0, 21), np.zeros(21))), 3.5, 0.5)
+
+
 def small_road() -> Road:
     s = np.linspace(-400.0, 2600.0, 301)
     lanes = []
@@ -60,7 +82,7 @@ def small_road() -> Road:
     crossing = np.array([(-7.0, 390.0), (7.0, 390.0), (7.0, 410.0), (0.0, 402.0), (-7.0, 410.0)])
     shape = np.array([(0.0, 20.0, 0.0), (0.0, 390.0, 0.0)])
     lanes.append(Lane("street_0", "street", 0, 1, WIDTH, shape))
-    return Road(tuple(lanes), (crossing,))
+    return Road(tuple(lanes), (crossing,), STOPS)
 
 
 def smooth_step(t, start, duration):
@@ -90,12 +112,16 @@ def ego_trace(seconds: float, seed: int = 0) -> np.ndarray:
         "time": t, "x": x, "y": y, "yaw": yaw, "speed_long": speed, "yaw_rate": rate, "accel_long": accel,
         "accel_lat": speed * rate, "steer": steer, "steer_command": steer + 0.0005 * noise["steer_command"],
         "steer_law": steer * (1 - share), "steer_network": steer * share, "accel_command": accel,
-        "accel_law": accel * (1 - share), "accel_network": accel * share, "torque": 1500 * 0.32 * accel,
+        "accel_law": accel * (1 - share), "accel_network": accel * share,
+        "torque": 1500 * 0.32 * accel - 600.0 * ((t > 14) & (t <= 15)),
         "speed_reference": reference, "speed_error": reference - speed, "reference_yaw": road_yaw,
         "cross_track_error": error, "heading_error": road_yaw - yaw, "neurons_steering": neurons,
         "load_front": 7600 - 300 * accel, "load_rear": 7100 + 300 * accel, "neurons_speed": neurons // 2,
         "learned_speed": np.floor(t * 40), "learned_steering": np.floor(t * 55), "grown_steering": neurons,
-        "grown_speed": neurons // 2, "friction": np.full(n, 0.9),
+        "grown_speed": neurons // 2, "friction": np.where((t > 7) & (t <= 9), 0.5, 0.9),
+        "force_external_lat": np.where((t > 10) & (t <= 12), -2500.0, 0.0), "grade": 0.02 * np.sin(t / 5),
+        "force_long_front": 1500 * accel, "force_lat_front": 700 * speed * rate, "force_lat_rear": 600 * speed * rate,
+        "time_to_collision": np.where(t % 4 < 1, 3.0, np.inf), "lead_gap": np.where(t > 2, 40.0, np.inf),
     }  # fmt: skip
     for column in COLUMNS:
         if column.startswith(("pruned", "merged")):
@@ -134,6 +160,7 @@ def path_ahead(row: np.ndarray) -> np.ndarray:
 
 def open_recorder(file: Path, **changes) -> Recorder:
     given = {"recording": "drive-1", "name": "A drive", "road": small_road(), "ego": EGO, "columns": COLUMNS}
+    given |= {"limits": LIMITS, "patch": PATCH}
     return Recorder(file, **{**given, **changes})
 
 
@@ -147,6 +174,21 @@ STATES = {  # by row of the trace
 }
 
 
+SIGNALS = {0.05: "rG", 6.0: "ry", 9.0: "Gr"}
+
+
+def network_at(t: float) -> Insight:
+    """One neuron more every 2 s, up to 4; the car moves along the first input."""
+    n = min(int(t / 2), 4)
+    memory = blank_memory(EmranParams(neurons_max=6), 4)
+    memory.counts[[NEURONS, SAMPLES, LEARNED]] = n, 200, 50
+    memory.centers[:n] = np.arange(n)[:, None] * (1.0, 2.0, 3.0, 4.0)
+    memory.widths[:n] = 0.5 + np.arange(n)
+    memory.weights[:n] = 0.1 * (np.arange(n) - 1.5)
+    memory.covariance[:n] = np.eye(6) * (1.0 + np.arange(n))[:, None, None]
+    return insight(memory, np.array((0.1 * t, 0.0, 0.0, 0.0)))
+
+
 def drive(recorder: Recorder, trace: np.ndarray, vehicles: int) -> None:
     recorder.state(0.0, "learning", "off")
     recorder.state(0.0, "maneuver", "keep lane")
@@ -157,6 +199,10 @@ def drive(recorder: Recorder, trace: np.ndarray, vehicles: int) -> None:
             recorder.event(now, "INFO", f"steering network: neuron added, {end // 300} neurons")
         if end in (500, 3000):
             recorder.event(now, "WARN", "gap 21 m below the desired 28 m")
+        if now in SIGNALS:
+            recorder.signals(now, SIGNALS[now])
+        if end % 50 == 0:
+            recorder.network(now, "steering", network_at(now))
         for name, value in STATES.get(end, ()):
             recorder.state(now, name, value)
         recorder.write(rows, traffic_at(now, vehicles), path_ahead(rows[-1]))
@@ -243,12 +289,14 @@ def test_every_plotted_curve_reads_back_as_the_trace_at_exact_times(recorded, tr
         times, values = rows_of(recorded, "/plots/ego", f"trace:{curve.component}")
         np.testing.assert_array_equal(times, np.arange(20, 20001, 20) * 1_000_000)
         column = expected[:, COLUMNS.index(curve.column)] * units[curve.unit]
-        np.testing.assert_allclose(np.ravel(values), column, rtol=1e-6, atol=1e-30)
+        shown = np.array([value[0] if value else np.nan for value in values])  # nothing is a gap
+        column = np.where(np.isfinite(column), column, np.nan)
+        np.testing.assert_allclose(shown, column, rtol=1e-6, atol=1e-30)
 
 
 def test_every_plot_of_the_layout_is_on_a_tab_and_every_tab_shows_plots_that_exist():
     shown = {plot for rows in TABS.values() for row in rows for plot in row}
-    assert shown == set(plots.PLOTS)
+    assert shown == {*plots.PLOTS, *plots.INSIGHTS, FORCES, SPACE_STEERING, SPACE_SPEED}
 
 
 def test_ego_and_traffic_stand_where_they_were_at_the_same_instants(recorded, trace):
@@ -291,6 +339,172 @@ def test_events_and_states_keep_their_times_and_repeated_states_are_dropped(tmp_
     assert (times.tolist(), states) == ([0, 2_150_000_000], [["off"], ["learning"]])
     times, texts = rows_of(tmp_path / "a.rrd", "/events", "TextLog:text")
     assert (times.tolist(), texts) == ([350_000_000], [["gap too small"]])
+
+
+def column(trace: np.ndarray, name: str) -> np.ndarray:
+    """A column at the ends of the SUMO steps."""
+    return trace[4::5, COLUMNS.index(name)]
+
+
+def held(times: np.ndarray, values: list, instants: np.ndarray) -> list:
+    """What the viewer shows at the instants: the latest value."""
+    return [values[k] for k in np.searchsorted(times, instants, side="right") - 1]
+
+
+INSTANTS = np.arange(50, 20001, 50) * 1_000_000
+
+
+def test_the_brake_lights_shine_exactly_while_the_wheels_are_braked(recorded, trace):
+    times, shown = rows_of(recorded, "/world/ego/brake_lights", "Boxes3D:colors")
+    braked = column(trace, "torque") < -100.0
+    assert braked.any()
+    assert not braked.all()
+    on, off = (int(colors.packed([c])[0]) for c in (colors.BRAKE_ON, colors.BRAKE_OFF))
+    assert [c[0] for c in held(times, shown, INSTANTS)] == [on if b else off for b in braked]
+    assert len(times) == 1 + np.count_nonzero(np.diff(braked)), "only changes are sent"
+
+
+def test_the_arrow_of_a_side_force_ends_at_the_side_it_pushes_and_goes_with_the_force(recorded, trace):
+    times, vectors = rows_of(recorded, "/world/ego/side_force", "Arrows3D:vectors")
+    _, origins = rows_of(recorded, "/world/ego/side_force", "Arrows3D:origins")
+    force = column(trace, "force_external_lat")
+    shown = held(times, vectors, INSTANTS)
+    assert [bool(v) for v in shown] == (force != 0.0).tolist()
+    (vector,), (origin,) = next((v, o) for v, o in zip(vectors, origins, strict=True) if v)
+    assert vector[1] < 0.0, "to the right, as the force"
+    np.testing.assert_allclose(np.add(origin, vector)[:2], (0.0, EGO.width / 2), atol=1e-6)
+
+
+@pytest.mark.parametrize(("axle", "middle"), [("front", -10.0), ("rear", 10.0)])
+def test_tire_forces_and_their_circle_of_friction_times_load_are_those_of_the_trace(recorded, trace, axle, middle):
+    times, vectors = rows_of(recorded, "/tires/forces", "Arrows2D:vectors")
+    np.testing.assert_array_equal(times, INSTANTS)
+    expected = np.column_stack((-column(trace, f"force_lat_{axle}"), -column(trace, f"force_long_{axle}"))) / 1e3
+    np.testing.assert_allclose(np.array(vectors)[:, int(middle > 0)], expected, rtol=1e-6, atol=1e-6)
+    times, scales = rows_of(recorded, f"/tires/{axle}/limit", "Transform3D:scale")
+    _, places = rows_of(recorded, f"/tires/{axle}/limit", "Transform3D:translation")
+    radius = column(trace, "friction") * column(trace, f"load_{axle}") / 1e3
+    shown = np.array(held(times, scales, INSTANTS))[:, 0]
+    np.testing.assert_allclose(shown[:, 0], radius, atol=0.0251)
+    np.testing.assert_array_equal(shown[:, 0], shown[:, 1])
+    assert {place[0][0] for place in places} == {middle}
+
+
+def test_the_lights_show_at_each_stop_line_what_sumo_said_last(recorded):
+    green, yellow, red = (34, 197, 94), (250, 204, 21), (239, 40, 40)
+    for entity, component in (("lines", "LineStrips3D:colors"), ("lamps", "Points3D:colors")):
+        times, shown = rows_of(recorded, f"/world/signals/{entity}", component)
+        assert times.tolist() == [50_000_000, 6_000_000_000, 9_000_000_000]
+        assert shown == [colors.packed(pair).tolist() for pair in ((red, green), (red, yellow), (green, red))]
+
+
+def static_of(file: Path, entity: str, component: str):
+    chunks = RrdReader(str(file)).stream().filter(content=entity)
+    batches = [chunk.to_record_batch() for chunk in chunks]
+    (found,) = [b.column(component).to_pylist()[0] for b in batches if component in b.schema.names]
+    return found
+
+
+def test_stop_lines_lie_where_the_road_has_them(recorded):
+    lit = np.array(static_of(recorded, "/world/signals/lines", "LineStrips3D:strips"))
+    np.testing.assert_allclose(lit[..., :2], [STOPS[0].ends, STOPS[1].ends])
+    plain = np.array(static_of(recorded, "/world/road/stop_lines", "LineStrips3D:strips"))
+    np.testing.assert_allclose(plain[..., :2], [STOPS[2].ends])
+
+
+def test_a_stretch_with_another_friction_is_a_surface_on_the_asphalt(recorded):
+    vertices = np.array(static_of(recorded, "/world/road/patch", "Mesh3D:vertex_positions"))
+    triangles = np.array(static_of(recorded, "/world/road/patch", "Mesh3D:triangle_indices"))
+    assert area(vertices, triangles) == pytest.approx(40.0 * 3.5)
+    assert road.ASPHALT_LEVEL < vertices[:, 2].min() <= vertices[:, 2].max() < road.LINE_LEVEL
+    assert static_of(recorded, "/world/road/patch/label", "Points3D:labels") == ["friction × 0.5"]
+
+
+def test_the_stretch_is_where_the_disturbance_says_along_the_path():
+    x = np.arange(0.0, 500.0, 0.25)
+    flat = np.zeros_like(x)
+    line = Line(x - 20.0, flat, flat, flat, flat, 0.25)
+    found = patch_on(DisturbanceParams(patch_start=100.0, patch_end=150.0, patch_friction=0.6), line, 3.5)
+    assert found is not None
+    assert (found.line[0, 0], found.line[-1, 0], found.width, found.friction) == (80.0, 130.0, 3.5, 0.6)
+    assert patch_on(DisturbanceParams(), line, 3.5) is None
+
+
+def test_the_inside_of_a_network_is_recorded_as_it_was(recorded):
+    times, centers = rows_of(recorded, "/networks/steering/centers", "Ellipsoids3D:centers")
+    np.testing.assert_array_equal(times, np.arange(500, 20001, 500) * 1_000_000)
+    seen = [network_at(t) for t in times / 1e9]
+    assert [len(c) for c in centers] == [len(one.widths) + 1 for one in seen]
+    np.testing.assert_allclose(centers[-1][:-1], seen[-1].centers[:, :3])
+    np.testing.assert_allclose([c[-1][0] for c in centers], 1e-10 * times, rtol=1e-6)  # the car
+    for name in ("weights", "widths"):
+        _, values = rows_of(recorded, "/plots/steering_network", f"trace:{name}")
+        np.testing.assert_allclose(values[-1][:4], getattr(seen[-1], name), rtol=1e-6)
+        assert not any(values[-1][4:])
+    _, values = rows_of(recorded, "/plots/steering_network", "trace:covariance")
+    # the car is nearest to the neuron at the origin up to 0.1 t = 15, whose P is the unit matrix
+    assert values == [[6.0] if t >= 2.0e9 else [] for t in times]
+    _, values = rows_of(recorded, "/plots/steering_network", "trace:share_learned")
+    np.testing.assert_allclose(np.ravel(values), 25.0)
+
+
+def test_a_disturbance_that_comes_and_goes_is_an_event_and_a_state(recorded):
+    times, texts = rows_of(recorded, "/events", "TextLog:text")
+    found = {text: t / 1e9 for t, (text,) in zip(times, texts, strict=True)}
+    assert found["friction falls to 0.50"] == pytest.approx(7.01)
+    assert found["friction rises to 0.90"] == pytest.approx(9.01)
+    assert found["side force begins, to the right"] == pytest.approx(10.01)
+    assert found["side force over, 2.5 kN at the most"] == pytest.approx(12.01)
+    assert (np.diff(times) >= 0).all()
+    times, states = rows_of(recorded, "/state/disturbance", "StateChange:state")
+    assert np.round(times / 1e9, 2).tolist() == [7.01, 9.01, 10.01, 12.01]
+    assert [state for (state,) in states] == ["low friction", "none", "side force", "none"]
+
+
+def watched(**given: np.ndarray) -> list[str]:
+    """Texts of the events of rows at 100 Hz that are quiet but for the given columns."""
+    n = len(next(iter(given.values())))
+    values = {name: np.zeros(n) for name in ("steer", "steer_command", "accel_command", "force_external_lat")}
+    values |= {"time": np.arange(1, n + 1) / 100.0, "friction": np.ones(n)} | given
+    watch = Watch(LIMITS, list(values).index)
+    rows = np.column_stack(list(values.values()))
+    return [f"{note.time:.2f} {note.text}" for part in np.array_split(rows, 7) for note in watch.look(part)[0]]
+
+
+def test_a_limit_that_is_held_is_one_event_and_one_that_is_hit_again_later_is_another():
+    wave = np.zeros(400)
+    wave[100:150], wave[160:170], wave[300:310] = -9.0, -9.0, -9.0
+    assert watched(accel_command=wave) == [
+        "1.01 braking command at its limit",
+        "3.01 braking command at its limit",
+    ]
+    assert watched(accel_command=0.9 * wave) == []
+    assert watched(accel_command=np.repeat((0.0, 4.0), 20)) == ["0.21 acceleration command at its limit"]
+
+
+def test_the_steering_limits_are_those_of_angle_and_rate():
+    ramp = np.clip(0.008 * np.arange(-50, 50), 0.0, 1.0)
+    assert watched(steer=ramp) == ["0.52 steering rate at its limit"]
+    assert watched(steer=0.9 * ramp) == []
+    assert watched(steer_command=np.repeat((0.0, -0.6), 20)) == ["0.21 steering angle at its limit"]
+
+
+def test_a_force_that_acts_from_the_start_and_a_wave_of_friction_are_told_sensibly():
+    assert watched(force_external_lat=np.full(50, 800.0)) == ["0.01 side force begins, to the left"]
+    assert watched(friction=1.0 + 0.2 * np.sin(np.arange(300) / 100.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(-0.07, 0.07), (-0.035, 0.03), (0.0, 7.0), (19.0, 20.1), (-3600.0, 1200.0), (0.0, 0.0), (5.0, 5.0)],
+)
+def test_an_axis_holds_its_curve_and_two_labels_that_have_room(low, high):
+    bottom, top = plots.ticked(low, high)
+    assert bottom <= low
+    assert high <= top
+    decades = 10.0 ** np.arange(-9, 6)
+    counts = [np.floor(top / d + 1e-9) - np.ceil(bottom / d - 1e-9) + 1 for d in decades]
+    assert any(2 <= count <= 6 for count in counts)
 
 
 def test_the_summary_and_the_properties_of_the_run_are_in_the_file(recorded):
@@ -382,7 +596,7 @@ def test_a_simulated_minute_among_100_vehicles_stays_below_3_megabytes(recorded,
     with open_recorder(tmp_path / "empty.rrd"):
         pass
     start = (tmp_path / "empty.rrd").stat().st_size
-    assert start < 1e6, "road and layout, once per file"
+    assert start < 2e6, "road and layouts, once per file"
     assert 3 * (recorded.stat().st_size - start) < 3e6
 
 
@@ -395,14 +609,20 @@ def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
             recorder.write(trace[5 * k : 5 * k + 5], traffic, ahead)
             if (k + 1) % 80 == 0:
                 held.append(tracemalloc.get_traced_memory()[0])
-        tracemalloc.stop()
-    assert held[-1] - held[1] < 200_000
+    tracemalloc.stop()  # only now: Rerun's own thread frees what was sent, and tracing must not end under it
+    assert max(held[3:]) - max(held[:3]) < 200_000, "one chunk may still be on its way"
     with open_recorder(tmp_path / "b.rrd") as recorder:
         start = time.process_time()
         for k, (traffic, ahead) in enumerate(scene):
             recorder.write(trace[5 * k : 5 * k + 5], traffic, ahead)
         spent = (time.process_time() - start) / 24.0
     assert spent < 0.02, f"{spent * 1e3:.1f} ms per simulated second"
+
+
+DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("*.json"), *Path("/etc/vulkan/icd.d").glob("*.json")]
+drawing = pytest.mark.skipif(
+    sys.platform == "linux" and not DRIVERS, reason="no Vulkan driver: the headless viewer cannot draw"
+)
 
 
 @contextmanager
@@ -448,23 +668,88 @@ def viewer(file: Path, log: Path):
         process.wait(10)
 
 
+def complaints(client: ViewerClient) -> list[str]:
+    """What the viewer could not show, and what it warned of."""
+    reports = [f"{view.name}: {view.reports}" for view in client.get_state().views if view.reports]
+    # "rasterizer": the viewer's own remark on machines without a graphics card
+    spoken = [log for log in client.get_logs() if log.level.upper() in ("WARN", "ERROR")]
+    return reports + [log.message for log in spoken if "asterizer" not in log.message]
+
+
+@drawing
 def test_the_viewer_draws_every_view_without_a_complaint(recorded, tmp_path):
     with viewer(recorded, tmp_path / "viewer.log") as client:
         client.set_time("sim_time", duration=14.0, play_state="paused")
         time.sleep(2.0)
         picture = np.asarray(Image.open(BytesIO(client.take_screenshot())).convert("RGB")).astype(int)
-        views = client.get_state().views
-        logs = client.get_logs()
-    assert [(v.name, v.reports) for v in views if v.reports] == []
-    # "rasterizer": the viewer's own remark on machines without a graphics card
-    spoken = [l.message for l in logs if l.level.upper() in ("WARN", "ERROR") and "asterizer" not in l.message]
-    assert spoken == []
-    assert len(views) >= 9
+        assert complaints(client) == []
+        assert len(client.get_state().views) >= 9
     height, width, _ = picture.shape
     scene = picture[: height // 2, : width // 2]
     for name, color in (("ego", colors.PINK), ("asphalt", colors.ASPHALT), ("path", colors.TEAL)):
         near = np.abs(scene - np.array(color)).max(axis=2) < 25
         assert near.sum() > 30, f"the {name} is not in the picture"
+
+
+def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_path):
+    located = load("urban_signals", {"duration": (12.0, "")})
+    result = drive_scenario(located, tmp_path, command="emran-sumo run urban_signals --duration 12")
+    file = result.folder / "run.rrd"
+    text = static_text(file)[-1]
+    summary = json.loads((result.folder / "summary.json").read_text())
+    told = summary["manifest"]
+    for group, name, *values in report.rows(summary):
+        assert f"| {group} | {name} | {values[0]} |" in text
+    for name, number in told["versions"].items():
+        assert f"{name} {number}" in text
+    assert text.startswith(f"**{report.verdict(summary)}**")
+    assert "`emran-sumo run urban_signals --duration 12`" in text
+    assert f"digest {told['digest']}" in text
+
+    # 28 links of two signals with 4 approaches each; static programs change at whole seconds of SUMO's clock
+    lines = static_of(file, "/world/signals/lines", "LineStrips3D:strips")
+    times, shown = rows_of(file, "/world/signals/lines", "LineStrips3D:colors")
+    assert {len(c) for c in shown} == {len(lines)}
+    assert times[0] == 50_000_000
+    known = set(colors.packed(colors.SIGNAL_COLORS.values()).tolist())
+    assert {c for row in shown for c in row} <= known
+    assert all(one != following for one, following in pairwise(shown)), "only changes are sent"
+
+    trace = read_trace(result.folder / "trace.parquet")
+    times, shares = rows_of(file, "/plots/speed_network", "trace:share_learned")
+    rows = np.rint(times / 1e7).astype(int) - 1
+    # the network sees no samples at walking speed: the share of those it saw is no smaller than that of all
+    assert (np.ravel(shares) >= 100.0 * trace["learned_speed"][rows] / (rows + 1) - 1e-4).all()
+    _, weights = rows_of(file, "/plots/speed_network", "trace:weights")
+    np.testing.assert_array_equal(np.count_nonzero(weights, axis=1), np.minimum(trace["neurons_speed"][rows], 16))
+
+
+@drawing
+@pytest.mark.parametrize(
+    ("name", "seconds", "there"),
+    [
+        ("highway_dlc", 15.0, {"path": colors.TEAL}),
+        ("urban_signals", 5.0, {"path": colors.TEAL}),
+        ("bridge_gust", 17.0, {"arrow of the gust": colors.RED}),
+    ],
+)
+def test_all_views_of_a_shipped_scenario_are_drawn_at_once_without_a_complaint(
+    name, seconds, there, tmp_path, monkeypatch
+):
+    # a view in the back of its tabs is not drawn: all are laid side by side
+    monkeypatch.setattr(rrb, "Tabs", lambda *views, name=None, active_tab=None: rrb.Grid(*views, name=name))
+    result = drive_scenario(load(name, {"duration": (seconds, "")}), tmp_path)
+    with viewer(result.folder / "run.rrd", tmp_path / "viewer.log") as client:
+        client.set_time("sim_time", duration=seconds - 0.5, play_state="paused")
+        time.sleep(3.0)
+        picture = np.asarray(Image.open(BytesIO(client.take_screenshot())).convert("RGB")).astype(int)
+        assert complaints(client) == []
+        assert len(client.get_state().views) == 6 + sum(len(row) for rows in TABS.values() for row in rows)
+    height, width, _ = picture.shape
+    scene = picture[: height // 2, : width // 2]
+    for what, color in {"ego": colors.PINK, "asphalt": colors.ASPHALT, **there}.items():
+        near = np.abs(scene - np.array(color)).max(axis=2) < 25
+        assert near.sum() > 20, f"the {what} is not in the picture"
 
 
 def area(vertices: np.ndarray, triangles: np.ndarray) -> float:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import rerun as rr
 
-from emran_sumo.recording.colors import GLASS, PAINT, PINK, RUBBER, packed
+from emran_sumo.recording.colors import GLASS, PAINT, PINK, RED, RUBBER, packed
 
 
 class EgoShape(NamedTuple):
@@ -26,6 +26,9 @@ def draw_ego(stream: rr.RecordingStream, ego: EgoShape) -> None:
     stream.log("/world/ego/heading", _arrow(ego, cabin), static=True)
     for axle, x in (("front_wheels", ego.front_axle), ("rear_wheels", ego.front_axle - ego.wheelbase)):
         stream.log(f"/world/ego/{axle}", _wheels(x, ego.width / 2 - 0.1), static=True)
+    stream.log("/world/ego/brake_lights", _brake_lights(ego, middle), static=True)
+    force = rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED]), show_labels=True)
+    stream.log("/world/ego/side_force", force, static=True)
     marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=packed([PINK]))
     stream.log("/world/ego/marker", marker, static=True)
 
@@ -39,6 +42,16 @@ def _body(ego: EgoShape, middle: float, cabin: float) -> rr.Boxes3D:
             (0.27 * ego.length, 0.42 * ego.width, (roof - belt) / 2),
         ],
         colors=packed([PINK, GLASS]),
+        fill_mode="solid",
+    )
+
+
+def _brake_lights(ego: EgoShape, middle: float) -> rr.Boxes3D:
+    """Two at the corners of the rear, high enough to be seen from above too; the motion brings their color."""
+    rear, side = middle - 0.5 * ego.length + 0.17, 0.29 * ego.width
+    return rr.Boxes3D(
+        centers=[(rear, side, 0.5 * ego.height), (rear, -side, 0.5 * ego.height)],
+        half_sizes=[(0.2, 0.18 * ego.width, 0.14 * ego.height)],
         fill_mode="solid",
     )
 

@@ -14,13 +14,14 @@ from emran_sumo.recording.colors import COMPARED, NIGHT, SLATE, packed
 from emran_sumo.recording.comparison_layout import Shown, comparison_layout, curves
 from emran_sumo.recording.layout import TIMELINE
 from emran_sumo.recording.plots import ARCHETYPE, STATES, Curve
-from emran_sumo.recording.recorder import CHUNK, PLOT_PERIOD, _turns, _Values
+from emran_sumo.recording.recorder import CHUNK, PLOT_PERIOD
+from emran_sumo.recording.stream import Values, turns
 
 APPLICATION = "emran_sumo_compare"
 MOST = len(COMPARED)
 STEP = 50  # ms between the drawings of the egos
 # What the first run's file gives to the scene; its car and its plots are drawn anew.
-TAKEN = ["/world/road/**", "/world/traffic/**", "/world/map/**", "/world/reference"]
+TAKEN = ["/world/road/**", "/world/signals/**", "/world/traffic/**", "/world/map/**", "/world/reference"]
 _MILLISECOND = 1_000_000  # ns
 
 
@@ -103,7 +104,7 @@ def _write_ego(stream: rr.RecordingStream, run: Compared, of: Shown, place: int)
     last = None
     for times, (x, y, yaw) in _chunks(run.trace, STEP, ("x", "y", "yaw")):
         points = _points(x, y)
-        _send(stream, entity, times, rr.Transform3D.columns(translation=points, quaternion=_turns(yaw)))
+        _send(stream, entity, times, rr.Transform3D.columns(translation=points, quaternion=turns(yaw)))
         joined = np.concatenate((points[:1] if last is None else last, points)) + np.array(
             [0.0, 0.0, 0.05], dtype=np.float32
         )
@@ -129,7 +130,7 @@ def _write_frame(stream: rr.RecordingStream, trace: Mapping[str, np.ndarray]) ->
     stream.log("/world/ego/marker", style, static=True)
     for times, (x, y, yaw) in _chunks(trace, STEP, ("x", "y", "reference_yaw")):
         points = _points(x, y)
-        _send(stream, "/world/ego_frame", times, rr.Transform3D.columns(translation=points, quaternion=_turns(yaw)))
+        _send(stream, "/world/ego_frame", times, rr.Transform3D.columns(translation=points, quaternion=turns(yaw)))
         _send(stream, "/world/ego/marker", times, rr.Points3D.columns(positions=points))
 
 
@@ -138,7 +139,7 @@ def _write_curves(stream: rr.RecordingStream, key: str, trace: Mapping[str, np.n
     names = [rr.ComponentDescriptor(f"{ARCHETYPE}:{curve.component}") for curve in of]
     for times, values in _chunks(trace, PLOT_PERIOD, tuple(curve.column for curve in of)):
         columns = [
-            rr.ComponentColumn(name, _Values((column * curve.scale).astype(np.float32)))
+            rr.ComponentColumn(name, Values((column * curve.scale).astype(np.float32)))
             for name, curve, column in zip(names, of, values, strict=True)
         ]
         _send(stream, f"/plots/{key}", times, columns)

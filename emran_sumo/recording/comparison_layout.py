@@ -6,7 +6,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from emran_sumo.recording.colors import NIGHT, SLATE, packed
-from emran_sumo.recording.layout import TIMELINE, _line, _road_map, _whole_run
+from emran_sumo.recording.layout import TIMELINE, line, road_map, whole_run
 from emran_sumo.recording.plots import Curve
 
 TRAIL = 10.0  # s of the way behind that is shown
@@ -67,13 +67,13 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
             rrb.Tabs(
                 _scene("Close-up", "/world/ego_frame", near, controllers),
                 _scene("Chase camera", "/world/ego_frame", behind, controllers),
-                _road_map(bounds),
+                road_map(bounds),
                 active_tab=0,
             ),
             rrb.TextDocumentView(origin="/summary", name="Summary"),
             column_shares=[1, 1.4],
         ),
-        rrb.StateTimelineView(origin="/state", name="Maneuvers", time_view=_whole_run()),
+        rrb.StateTimelineView(origin="/state", name="Maneuvers", time_view=whole_run()),
         row_shares=[3.6, 4.2, 1.6],
     )
     right = rrb.Tabs(*(_tab(name, plots, controllers) for name, plots in TABS.items()), active_tab=0)
@@ -86,18 +86,18 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
 
 
 def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...]) -> rrb.Vertical:
-    axis = _whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
+    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
     return rrb.Vertical(*(_plot(PLOTS[plot], axis, controllers) for plot in plots), name=name)
 
 
 def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) -> rrb.TimeSeriesView:
     overrides: dict = {
-        f"/plots/{of.key}": [_line(Curve(plot.column, of.label, of.color, plot.unit), plot.steps)] for of in controllers
+        f"/plots/{of.key}": [line(Curve(plot.column, of.label, of.color, plot.unit), plot.steps)] for of in controllers
     }
     corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop
     if plot.column == "speed_long":
         overrides["/plots/reference"] = [
-            _line(Curve("speed_reference", f"reference of {controllers[0].label}", SLATE), False)
+            line(Curve("speed_reference", f"reference of {controllers[0].label}", SLATE), False)
         ]
     return rrb.TimeSeriesView(
         origin="/plots",

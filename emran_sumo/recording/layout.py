@@ -1,44 +1,98 @@
 """How a run is arranged on the screen: the layout that every file carries."""
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from emran_sumo.recording.colors import LEGEND, NIGHT, packed
-from emran_sumo.recording.plots import ARCHETYPE, PLOTS, Curve, Plot
-
-TIMELINE = "sim_time"
+from emran_sumo.recording.insight import AXES, DRAWN, Insight
+from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve, Plot, ticked
+from emran_sumo.recording.stream import TIMELINE
 
 # Tab -> rows of plots; more than four rows do not fit a window of 1080 pixels.
+FORCES, SPACE_STEERING, SPACE_SPEED = "tire forces", "space steering", "space speed"  # views that are no plots
 TABS = {
     "Overview": (("speed",), ("cross_track_error",), ("steering",), ("neurons",)),
     "Tracking": (("cross_track_error",), ("heading_error",), ("speed",), ("speed_error",)),
-    "Networks": (
-        ("signal_steering",),
-        ("signal_speed",),
-        ("neurons", "learned"),
-        ("structure_steering", "structure_speed"),
+    "Tires and plant": (
+        (FORCES, "friction_use"),
+        ("slip_angle", "slip_ratio", "load"),
+        ("friction", "grade", "force_external"),
+        ("yaw_rate", "accel_lat"),
     ),
-    "Tires": (("slip_ratio",), ("slip_angle",), ("load",), ("friction_use",)),
-    "Motion": (("acceleration",), ("torque",), ("yaw_rate",), ("accel_lat",)),
+    "Longitudinal network": (
+        ("acceleration", "torque"),
+        ("signal_speed", "structure_speed"),
+        ("share_learned_speed", "covariance_speed"),
+        (SPACE_SPEED, "weights_speed", "widths_speed"),
+    ),
+    "Lateral network": (
+        ("steering", "learned"),
+        ("signal_steering", "structure_steering"),
+        ("share_learned_steering", "covariance_steering"),
+        (SPACE_STEERING, "weights_steering", "widths_steering"),
+    ),
+    "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",)),
 }
+FIRST_TABS = ("Overview",)
 
 
-def layout(bounds: tuple[float, float, float, float]) -> rrb.Blueprint:
-    """The layout that follows the ego; bounds = (x_min, y_min, x_max, y_max) [m] of the road, for the map."""
+class Extents:
+    """How far the curves and the centers of the networks have reached so far; the layout is drawn to them."""
+
+    def __init__(self, curves: int = len(CURVES)) -> None:
+        self._low, self._high = np.full(curves, np.inf), np.full(curves, -np.inf)
+        self.spaces: dict[str, tuple[np.ndarray, float]] = {}
+
+    def include(self, values: np.ndarray) -> None:
+        """Take in values (curves, n); NaN counts for nothing."""
+        self._low = np.fmin(self._low, np.fmin.reduce(values, axis=1))
+        self._high = np.fmax(self._high, np.fmax.reduce(values, axis=1))
+
+    def include_space(self, network: str, seen: Insight) -> None:
+        """Keep the middle and the size of where a network's neurons are."""
+        places = np.concatenate((seen.centers, seen.point[None]))[:, :3]
+        low, high = places.min(axis=0), places.max(axis=0)
+        widest = DRAWN * float(seen.widths.max(initial=1.0))
+        self.spaces[network] = (0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + widest)
+
+    def of(self, plot: Plot) -> tuple[float, float] | None:
+        """Range (low, high) of a plot's vertical axis; None before anything was seen: the viewer finds it."""
+        if plot.fixed:
+            return plot.least
+        at = [k for k, curve in enumerate(CURVES) if curve in plot.curves]
+        if not at or not np.isfinite(self._low[at]).any():
+            return plot.least
+        low, high = self._low[at].min(), self._high[at].max()
+        if plot.least is not None:
+            low, high = min(low, plot.least[0]), max(high, plot.least[1])
+        return ticked(float(low), float(high), 6 if len(plot.curves) > 3 else 5)
+
+
+def layout(bounds: tuple[float, float, float, float], extents: Extents | None = None) -> rrb.Blueprint:
+    """The layout that follows the ego.
+
+    Args:
+        bounds: (x_min, y_min, x_max, y_max) [m] of the road, for the map.
+        extents: of what was driven; None while the run goes on: then only the tabs of FIRST_TABS, as every view takes
+            its place in the file.
+    """
+    tabs = TABS if extents is not None else {name: TABS[name] for name in FIRST_TABS}
+    extents = extents or Extents()
     left = rrb.Vertical(
         _top_down(),
         rrb.Horizontal(
-            rrb.Tabs(_chase(), _road_map(bounds), active_tab=0),
+            rrb.Tabs(_chase(), road_map(bounds), active_tab=0),
             _events(),
             column_shares=[1, 1.15],
         ),
-        rrb.StateTimelineView(origin="/state", name="Maneuver and learning", time_view=_whole_run()),
-        row_shares=[5, 4, 1.75],
+        rrb.StateTimelineView(origin="/state", name="Maneuver, learning, disturbance", time_view=whole_run()),
+        row_shares=[5, 4, 2.3],
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.Tabs(*(_tab(name, entities) for name, entities in TABS.items()), active_tab=0),
+        rrb.Tabs(*(_tab(name, entities, extents) for name, entities in tabs.items()), active_tab=0),
         row_shares=[1, 4.3],
     )
     return rrb.Blueprint(
@@ -55,39 +109,75 @@ def _events() -> rrb.TextLogView:
     )
 
 
-def _whole_run() -> rrb.TimeAxis:
+def whole_run() -> rrb.TimeAxis:
     return rrb.TimeAxis(
         view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
     )
 
 
-def _tab(name: str, rows: tuple[tuple[str, ...], ...]) -> rrb.Vertical:
+def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.Vertical:
     """The overview spans the whole run; the plots of the other tabs zoom together."""
-    axis = _whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
+    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
     parts, shares = [], []
     for row in rows:
-        plots = [_plot(PLOTS[plot], axis) for plot in row]
-        parts.append(plots[0] if len(plots) == 1 else rrb.Horizontal(*plots))
-        shares.append(1.3 if max(len(PLOTS[plot].curves) for plot in row) > 3 else 1.0)  # room for the legend
+        views = [_view(view, axis, extents) for view in row]
+        parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
+        many = max((len(PLOTS[view].curves) for view in row if view in PLOTS), default=1)
+        tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
+        shares.append(1.8 if tall else 1.3 if many > 3 else 1.0)  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
-def _plot(plot: Plot, axis: rrb.TimeAxis) -> rrb.TimeSeriesView:
+def _view(name: str, axis: rrb.TimeAxis, extents: Extents) -> rrb.View:
+    if name == FORCES:
+        return _tire_forces()
+    if name in (SPACE_STEERING, SPACE_SPEED):
+        return _space(name.split()[1], extents)
+    plot = INSIGHTS.get(name) or PLOTS[name]
+    return _plot(plot, axis, extents.of(plot))
+
+
+def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
     corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop  # counts grow away from the left
     # All curves of an ego are components of one entity: a fifth of the size of one entity per curve.
     return rrb.TimeSeriesView(
-        origin="/plots/ego",
+        origin=plot.entity,
         name=plot.title,
         axis_x=axis,
-        defaults=[rr.SeriesLines.from_fields(widths=2.0)],
+        axis_y=None if span is None else rrb.ScalarAxis(range=span),
         plot_legend=rrb.PlotLegend(corner, visible=len(plot.curves) > 1),
-        overrides={"/plots/ego": [_line(curve, plot.steps) for curve in plot.curves]},
+        overrides={plot.entity: [line(curve, plot.steps) for curve in plot.curves]},
     )
 
 
-def _line(curve: Curve, steps: bool) -> rrb.Visualizer:
+def _tire_forces() -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin="/tires",
+        name="Tire forces; circle: friction × load",
+        background=list(NIGHT),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-11.0, 9.5]),
+    )
+
+
+def _space(network: str, extents: Extents) -> rrb.Spatial3DView:
+    """Small spheres about the centers, seen from above; the amber one is where the car is."""
+    (x, y, z), reach = extents.spaces.get(network, (np.zeros(3), 5.0))
+    eye = rrb.EyeControls3D(
+        kind="Orbital", position=(x, y - 0.4 * reach, z + 2.4 * reach), look_target=(x, y, z), eye_up=(0, 1, 0)
+    )
+    return rrb.Spatial3DView(
+        origin=f"/networks/{network}",
+        name=f"Centers: {AXES[network]}",
+        background=list(NIGHT),
+        line_grid=False,
+        eye_controls=eye,
+    )
+
+
+def line(curve: Curve, steps: bool) -> rrb.Visualizer:
     style = rr.SeriesLines(
         names=curve.label,
+        widths=2.0,
         colors=packed([curve.color]),
         interpolation_mode="StepAfter" if steps else None,
     )
@@ -127,7 +217,7 @@ def _scene(name: str, origin: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     )
 
 
-def _road_map(bounds: tuple[float, float, float, float]) -> rrb.Spatial3DView:
+def road_map(bounds: tuple[float, float, float, float]) -> rrb.Spatial3DView:
     x_min, y_min, x_max, y_max = bounds
     x, y = (x_min + x_max) / 2, (y_min + y_max) / 2
     height = 1.15 * max((x_max - x_min) / 1.2, y_max - y_min, 50.0)

@@ -30,11 +30,18 @@ class Curve(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """One plot of several curves; `steps`: counts, drawn as stairs."""
+    """One plot of several curves.
+
+    steps: counts, drawn as stairs; entity: where its curves are; least: (low, high) that the vertical axis always
+    shows; fixed: and nothing beyond it.
+    """
 
     title: str
     curves: tuple[Curve, ...]
     steps: bool = False
+    entity: str = "/plots/ego"
+    least: tuple[float, float] | None = None
+    fixed: bool = False
 
 
 def _axles(name: str, unit: str = "") -> tuple[Curve, ...]:
@@ -57,7 +64,7 @@ def _structure(network: str) -> tuple[Curve, ...]:
 
 
 PLOTS = {
-    "speed": Plot("Speed [m/s]", (Curve("speed_long", "actual", PINK), Curve("speed_reference", "reference", SLATE))),
+    "speed": Plot("Speed [m/s]", (Curve("speed_reference", "reference", SLATE), Curve("speed_long", "actual", PINK))),
     "speed_error": Plot("Speed error [m/s]", (Curve("speed_error", "speed error", RED),)),
     "cross_track_error": Plot(
         "Cross-track error [m], positive: path lies to the left",
@@ -83,6 +90,24 @@ PLOTS = {
         ),
     ),
     "torque": Plot("Wheel torque [N m]", (Curve("torque", "torque", BLUE),)),
+    "grade": Plot("Grade [deg]", (Curve("grade", "grade", TEAL, "deg"),), least=(-1.1, 1.1)),
+    "friction": Plot("Road friction", (Curve("friction", "friction", TEAL),), least=(0.0, 1.1)),
+    "force_external": Plot(
+        "Side force [kN]", (Curve("force_external_lat", "side force", RED, "kN"),), least=(-1.1, 1.1)
+    ),
+    "gap": Plot("Gap to the vehicle ahead [m]", (Curve("lead_gap", "gap", BLUE),), least=(0.0, 110.0), fixed=True),
+    "time_to_collision": Plot(
+        "Time to collision [s], while closing in",
+        (Curve("time_to_collision", "TTC", AMBER),),
+        least=(0.0, 15.0),
+        fixed=True,
+    ),
+    "deceleration_to_avoid": Plot(
+        "Deceleration to avoid a collision [m/s²]",
+        (Curve("deceleration_to_avoid", "DRAC", RED),),
+        least=(0.0, 11.0),
+        fixed=True,
+    ),
     "yaw_rate": Plot("Yaw rate [deg/s]", (Curve("yaw_rate", "yaw rate", PINK, "deg"),)),
     "accel_lat": Plot("Lateral acceleration [m/s²]", (Curve("accel_lat", "lateral acceleration", PINK),)),
     "slip_ratio": Plot("Slip ratio [%]", _axles("slip_ratio", "percent")),
@@ -96,6 +121,18 @@ PLOTS = {
     "structure_steering": Plot("Steering network: neurons so far", _structure("steering"), steps=True),
     "structure_speed": Plot("Speed network: neurons so far", _structure("speed"), steps=True),
 }
+INSIGHTS = {
+    f"{what}_{network}": Plot(
+        f"{title}, {network} network", (Curve(what, label, color),), True, f"/plots/{network}_network"
+    )
+    for network, color in (("steering", VIOLET), ("speed", TEAL))
+    for what, title, label in (
+        ("weights", "Weights", "weight"),
+        ("widths", "Widths", "width"),
+        ("covariance", "Trace of P of the winner", "trace of P"),
+        ("share_learned", "Share of samples used [%]", "share"),
+    )
+}
 CURVES = tuple(curve for plot in PLOTS.values() for curve in plot.curves)
 
 STATES = {
@@ -103,9 +140,40 @@ STATES = {
         "keep lane": (51, 65, 85),
         "change left": (14, 116, 144),
         "change right": (109, 40, 217),
+        "double lane change": (21, 128, 61),
         "waiting for a gap": (180, 83, 9),
+        "waiting to return": (161, 98, 7),
     },
     "learning": {"off": (71, 85, 105), "learning": (91, 33, 182), "settled": (22, 101, 52)},
+    "disturbance": {
+        "none": (51, 65, 85),
+        "side force": (185, 28, 28),
+        "low friction": (29, 78, 216),
+        "side force on low friction": (157, 23, 77),
+    },
 }
 
 EVENT_COLORS = {"DEBUG": SLATE, "INFO": BLUE, "WARN": AMBER, "ERROR": RED}
+
+
+def ticked(low: float, high: float, most: int = 5) -> tuple[float, float]:
+    """The range of an axis that holds low..high and at least two of its labels, where `most` labels have room.
+
+    The viewer labels powers of ten only, about 20 pixels apart at the least: a curve of +-0.07 would show "0" alone.
+    """
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return 0.0, 1.1
+    margin = 0.06 * max(high - low, 1e-6)
+    low, high = float(low - margin), float(high + margin)
+    step = 10.0 ** np.floor(np.log10(high - low))
+    if high - low > most * step:
+        step *= 10.0
+    first, last = np.ceil(low / step), np.floor(high / step)
+    while last - first < 1:  # widen to the nearer label, if need be on both sides
+        below, above = low - (first - 1) * step, (last + 1) * step - high
+        if below <= above:
+            first -= 1
+        else:
+            last += 1
+    edge = 0.1 * step
+    return float(min(low, first * step - edge)), float(max(high, last * step + edge))

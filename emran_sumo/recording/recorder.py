@@ -4,30 +4,33 @@ Rows are gathered and sent as columns every 4 s of simulated time: memory stays 
 at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
-import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
+import rerun.blueprint as rrb
 
 from emran_sumo.recording.car import EgoShape, draw_ego
-from emran_sumo.recording.colors import PINK, TEAL, packed, speed_colors
-from emran_sumo.recording.layout import TIMELINE, layout
+from emran_sumo.recording.colors import TEAL, packed, speed_colors
+from emran_sumo.recording.insight import AT_ONCE, COLORS, Insight, send_insights, style_insights
+from emran_sumo.recording.layout import Extents, layout
+from emran_sumo.recording.motion import EgoMotion
 from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
 from emran_sumo.recording.road import draw_road, road_shapes
+from emran_sumo.recording.stream import Stream, series, turns
+from emran_sumo.recording.surroundings import Patch, draw_patch, draw_stop_lines, send_signals
+from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
 CHUNK = 4000  # ms of simulated time per chunk
 PLOT_PERIOD = 20  # ms between the samples of a plot
-REFERENCE_PERIOD = 100  # ms between the drawings of the path ahead
-REFERENCE_POINTS = 16  # points of the path ahead that are drawn
+REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
+REFERENCE_POINTS = 24  # points of the path ahead that are drawn
 # Positions of the traffic are rounded to 1/64 m, its turns to 1/4096: invisible, and a fifth smaller.
 _GRID, _TURN = 64.0, 4096.0
-_MILLISECOND = 1_000_000  # ns
 
 
 class Recorder:
@@ -43,6 +46,8 @@ class Recorder:
         road: drawn once.
         ego: outline of the ego.
         columns: names of the trace columns, in order.
+        limits: of car and controller; hits are events.
+        patch: stretch of the road with another friction.
         live: address of a viewer that is to show the run while it goes on; it may be closed at any time.
 
     Raises:
@@ -59,36 +64,44 @@ class Recorder:
         road: Road,
         ego: EgoShape,
         columns: Sequence[str],
+        limits: Limits | None = None,
+        patch: Patch | None = None,
         live: str = "",
     ) -> None:
         self._column = {column: i for i, column in enumerate(columns)}
-        self._curves = [
-            (rr.ComponentDescriptor(f"{ARCHETYPE}:{c.component}"), self._index(c.column), c.scale) for c in CURVES
-        ]
-        self._pose = [self._index(c) for c in ("x", "y", "yaw", "reference_yaw", "steer")]
+        self._curves = [rr.ComponentDescriptor(f"{ARCHETYPE}:{c.component}") for c in CURVES]
+        self._sources = [self._index(c.column) for c in CURVES]
+        self._scales = np.array([c.scale for c in CURVES])
+        self._place = [self._index(c) for c in ("x", "y")]
         self._time = self._index("time")
+        self._watch = Watch(limits, self._index)
         self._name = name
         self._live = bool(live)
         self._closed = False
         self._chunk: int | None = None
-        self._last_point: np.ndarray | None = None
+        self._described: set[str] = set()
         self._last_state: dict[str, str] = {}
+        self._extents = Extents(len(CURVES))
+        self._insights: dict[str, list[tuple[int, Insight]]] = {}
         self._forget()
 
         shapes = road_shapes(road)
-        Path(file).parent.mkdir(parents=True, exist_ok=True)
-        # No wall-clock time anywhere: it would make equal runs differ.
-        self._stream = rr.RecordingStream(application, recording_id=recording, send_properties=False)
-        sinks = [rr.FileSink(str(file))] + ([rr.GrpcSink(live)] if live else [])
-        self._stream.set_sinks(*sinks)
-        self._stream.set_log_time_enabled(False)
-        self._stream.send_blueprint(layout(shapes.bounds), make_active=True, make_default=True)
-        self._stream.send_recording_name(name)
-        self._static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        draw_road(self._stream, shapes)
-        draw_ego(self._stream, ego)
-        self._style_moving()
-        self._describe_states()
+        self._bounds = shapes.bounds
+        self._stream = Stream(file, application, recording, live)
+        self._show(layout(self._bounds, Extents(len(CURVES)) if live else None))
+        self._stream.raw.send_recording_name(name)
+        self._stream.static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        draw_road(self._stream.raw, shapes)
+        draw_stop_lines(self._stream, road.stop_lines)
+        if patch is not None:
+            draw_patch(self._stream, patch)
+        draw_ego(self._stream.raw, ego)
+        self._motion = EgoMotion(self._stream, ego, self._index)
+        style_insights(self._stream)
+        self._stream.static("/world/traffic", rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
+        self._stream.static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=packed([TEAL])))
+        for lane in ("maneuver", "learning"):
+            self._describe(lane)
         self._summary(f"**{name}**: not finished, its run is still going on or was killed")
         self._stream.flush()
 
@@ -120,7 +133,7 @@ class Recorder:
         self._rows.append(rows)
         self._traffic.append(np.array(traffic[1:], dtype=np.float64))
         if now % REFERENCE_PERIOD == 0:
-            ahead = reference if len(reference) else rows[-1:, self._pose[:2]]
+            ahead = reference if len(reference) else rows[-1:, self._place]
             self._references.append((now, _thinned(ahead)))
         if self._chunk is None:
             self._chunk = now // CHUNK
@@ -138,7 +151,16 @@ class Recorder:
         """Set the lane `name` of the state timeline to `value` from `time` [s] on; repeats are dropped."""
         if self._last_state.get(name) != value:
             self._last_state[name] = value
+            self._describe(name)
             self._states.setdefault(name, []).append((round(time * 1e3), value))
+
+    def signals(self, time: float, states: str) -> None:
+        """What the lights show from `time` [s] on: a letter of SUMO per stop line of the road that has a light."""
+        self._signals.append((round(time * 1e3), states))
+
+    def network(self, time: float, name: str, seen: Insight) -> None:
+        """What the network `name` (steering, speed) is at `time` [s]."""
+        self._insights.setdefault(name, []).append((round(time * 1e3), seen))
 
     def close(self, summary_markdown: str | None = None, properties: Mapping[str, object] | None = None) -> None:
         """Finish the file: rows still held, summary, properties of the run. Safe to call twice."""
@@ -150,10 +172,13 @@ class Recorder:
         finally:
             self._summary(f"**{self._name}**: finished" if summary_markdown is None else summary_markdown)
             if properties:
-                self._stream.send_property("run", rr.AnyValues(**properties))  # pyright: ignore[reportArgumentType]
-            with contextlib.suppress(RuntimeError) if self._live else contextlib.nullcontext():
-                self._stream.flush()  # raises where the viewer has been closed; the file is finished all the same
-            self._stream.disconnect()
+                self._stream.raw.send_property("run", rr.AnyValues(**properties))  # pyright: ignore[reportArgumentType]
+            if not self._live:  # whoever watches has arranged the views by now
+                self._show(layout(self._bounds, self._extents))
+            self._stream.close()
+
+    def _show(self, blueprint: rrb.Blueprint) -> None:
+        self._stream.raw.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _index(self, column: str) -> int:
         if column not in self._column:
@@ -166,60 +191,64 @@ class Recorder:
         self._references: list[tuple[int, np.ndarray]] = []
         self._events: list[tuple[int, str, str]] = []
         self._states: dict[str, list[tuple[int, str]]] = {}
+        self._signals: list[tuple[int, str]] = []
 
     def _flush(self) -> None:
         if self._rows:
-            self._send_plots()
+            rows = np.concatenate(self._rows)
+            self._note(rows)
+            self._send_plots(rows)
             self._send_scene()
+        send_signals(self._stream, self._signals)
+        self._send_insights()
         if self._events:
             times, levels, texts = zip(*self._events, strict=True)
             colors = packed(EVENT_COLORS[level] for level in levels)
-            self._send("/events", np.array(times), rr.TextLog.columns(text=texts, level=levels, color=colors))
+            self._stream.send("/events", np.array(times), rr.TextLog.columns(text=texts, level=levels, color=colors))
         for name, changes in self._states.items():
             times, values = zip(*changes, strict=True)
-            self._send(f"/state/{name}", np.array(times), rr.StateChange.columns(state=values))
+            self._stream.send(f"/state/{name}", np.array(times), rr.StateChange.columns(state=values))
         self._forget()
 
-    def _send(self, entity: str, milliseconds: np.ndarray, columns: Iterable[rr.ComponentColumn]) -> None:
-        # Whole nanoseconds: Rerun truncates times given as floating-point seconds.
-        duration = (milliseconds.astype(np.int64) * _MILLISECOND).astype("timedelta64[ns]")
-        self._stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=duration)], columns)
+    def _send_insights(self) -> None:
+        for name in COLORS:
+            looks = self._insights.get(name, [])
+            if looks and (self._closed or len(looks) >= AT_ONCE):
+                times, seen = zip(*looks, strict=True)
+                self._extents.include_space(name, seen[-1])
+                send_insights(self._stream, name, np.array(times), list(seen))
+                looks.clear()
 
-    def _send_plots(self) -> None:
-        rows = np.concatenate(self._rows)
+    def _note(self, rows: np.ndarray) -> None:
+        """Events and states that the rows themselves tell, in their order of time with the others."""
+        notes, states = self._watch.look(rows)
+        for note in notes:
+            self.event(*note)
+        self._events.sort(key=lambda event: event[0])
+        for when, value in states:
+            self.state(when, "disturbance", value)
+
+    def _send_plots(self, rows: np.ndarray) -> None:
         times = np.rint(rows[:, self._time] * 1e3).astype(np.int64)
         sampled = times % PLOT_PERIOD == 0
         if not sampled.any():
             return
-        chosen = rows[sampled].T
         # float32: the plots need no more, and the exact trace is a table of its own.
-        columns = [
-            rr.ComponentColumn(name, _Values((chosen[i] * scale).astype(np.float32))) for name, i, scale in self._curves
-        ]
-        self._send("/plots/ego", times[sampled], columns)
+        values = (rows[sampled][:, self._sources] * self._scales).T.astype(np.float32)
+        values[~np.isfinite(values)] = np.nan  # nobody ahead, nothing to collide with
+        self._extents.include(values)
+        columns = [series(name, line) for name, line in zip(self._curves, values, strict=True)]
+        self._stream.send("/plots/ego", times[sampled], columns)
 
     def _send_scene(self) -> None:
         ends = np.array([frame[-1] for frame in self._rows])
         times = np.rint(ends[:, self._time] * 1e3).astype(np.int64)
-        x, y, yaw, road_yaw, steer = ends[:, self._pose].T
-        points = np.column_stack((x, y, np.zeros_like(x))).astype(np.float32)
-        for entity, angle in (("/world/ego", yaw), ("/world/ego_frame", road_yaw)):
-            self._send(entity, times, rr.Transform3D.columns(translation=points, quaternion=_turns(angle)))
-        columns = rr.Boxes3D.columns(quaternions=np.repeat(_turns(steer), 2, axis=0))
-        self._send("/world/ego/front_wheels", times, columns.partition([2] * len(times)))
-        self._send_trail(times, points)
+        self._motion.send(times, ends)
         if self._references:
             whens, strips = zip(*self._references, strict=True)
-            self._send("/world/reference", np.array(whens), rr.LineStrips3D.columns(strips=np.array(strips)))
+            columns = rr.LineStrips3D.columns(strips=np.array(strips))
+            self._stream.send("/world/reference", np.array(whens), columns)
         self._send_traffic(times)
-
-    def _send_trail(self, times: np.ndarray, points: np.ndarray) -> None:
-        """One segment per step, from where the ego was a step before."""
-        start = points[:1] if self._last_point is None else self._last_point
-        joined = np.concatenate((start, points)) + np.array([0.0, 0.0, 0.05], dtype=np.float32)
-        self._last_point = points[-1:]
-        strips = np.stack((joined[:-1], joined[1:]), axis=1)
-        self._send("/world/trail", times, rr.LineStrips3D.columns(strips=strips))
 
     def _send_traffic(self, times: np.ndarray) -> None:
         x, y, yaw, length, width, height, speed = np.concatenate(self._traffic, axis=1)
@@ -227,43 +256,21 @@ class Recorder:
         columns = rr.Boxes3D.columns(
             centers=centers.astype(np.float32),
             half_sizes=(np.column_stack((length, width, height)) / 2).astype(np.float32),
-            quaternions=np.rint(_turns(yaw) * _TURN) / np.float32(_TURN),
+            quaternions=np.rint(turns(yaw) * _TURN) / np.float32(_TURN),
             colors=speed_colors(speed),
         )
-        self._send("/world/traffic", times, columns.partition([part.shape[1] for part in self._traffic]))
+        self._stream.send("/world/traffic", times, columns.partition([part.shape[1] for part in self._traffic]))
 
-    def _static(self, entity: str, *shapes: rr.AsComponents) -> None:
-        self._stream.log(entity, *shapes, static=True)
-
-    def _style_moving(self) -> None:
-        """What never changes about the shapes that move."""
-        self._static("/world/traffic", rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
-        self._static("/world/trail", rr.LineStrips3D.from_fields(radii=0.14, colors=packed([PINK])))
-        self._static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=packed([TEAL])))
-
-    def _describe_states(self) -> None:
-        for name, values in STATES.items():
-            colors = packed(values.values())
-            self._static(f"/state/{name}", rr.StateConfiguration(values=list(values), colors=colors))
+    def _describe(self, lane: str) -> None:
+        """Colors of a lane of the state timeline; the lane appears with them."""
+        if lane in STATES and lane not in self._described:
+            self._described.add(lane)
+            values = STATES[lane]
+            configuration = rr.StateConfiguration(values=list(values), colors=packed(values.values()))
+            self._stream.static(f"/state/{lane}", configuration)
 
     def _summary(self, text: str) -> None:
-        self._static("/summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-
-
-class _Values(NamedTuple):
-    """Plain numbers as Rerun takes them, without its guessing of types, which costs more than the sending."""
-
-    values: np.ndarray
-
-    def as_arrow_array(self) -> pa.Array:
-        return pa.array(self.values)
-
-
-def _turns(yaw: np.ndarray) -> np.ndarray:
-    """(n, 4) quaternions x, y, z, w of rotations about the vertical, float32."""
-    turns = np.zeros((len(yaw), 4), dtype=np.float32)
-    turns[:, 2], turns[:, 3] = np.sin(yaw / 2), np.cos(yaw / 2)
-    return turns
+        self._stream.static("/summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
 def _thinned(reference: np.ndarray) -> np.ndarray:

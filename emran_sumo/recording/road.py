@@ -44,7 +44,7 @@ def road_shapes(road: Road) -> RoadShapes:
             continue
         left, right = offset(line, lane.width / 2), offset(line, -lane.width / 2)
         vertices.append(np.concatenate((left, right)))
-        triangles.append(_ribbon(len(line)) + count)
+        triangles.append(ribbon(len(line)) + count)
         count += 2 * len(line)
         if lane.index == 0:
             borders.append(_raised(right, LINE_LEVEL))
@@ -137,7 +137,8 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _ribbon(n: int) -> np.ndarray:
+def ribbon(n: int) -> np.ndarray:
+    """(2 n - 2, 3) triangles between n points on the left, which come first, and n on the right."""
     left = np.arange(n - 1)
     right = left + n
     return np.concatenate((np.column_stack((right, right + 1, left)), np.column_stack((left, right + 1, left + 1))))

@@ -22,11 +22,19 @@ class Lane(NamedTuple):
     shape: np.ndarray
 
 
+class StopLine(NamedTuple):
+    """Where a lane stops: (2, 2) ends [m]; light: at a traffic light, else where it gives way."""
+
+    ends: np.ndarray
+    light: bool
+
+
 class Road(NamedTuple):
-    """All lanes outside junctions, and the junctions as (m, 2) polygons [m]."""
+    """All lanes outside junctions, the junctions as (m, 2) polygons [m], and the stop lines, those of lights first."""
 
     lanes: tuple[Lane, ...]
     junctions: tuple[np.ndarray, ...]
+    stop_lines: tuple[StopLine, ...] = ()
 
 
 class Traffic(NamedTuple):

@@ -1,0 +1,87 @@
+"""What stands beside the road surface: stop lines, lights, and stretches with another friction."""
+
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from emran_sumo.path import Path
+from emran_sumo.plant.disturbance import DisturbanceParams
+from emran_sumo.recording.colors import PAINT, SIGNAL_COLORS, SLATE, SLIPPERY, packed
+from emran_sumo.recording.road import ASPHALT_LEVEL, LINE_LEVEL, offset, ribbon
+from emran_sumo.recording.stream import Stream
+from emran_sumo.world.records import StopLine
+
+LAMP_HEIGHT = 4.5  # m
+PATCH_LEVEL = ASPHALT_LEVEL + 0.03  # m: on the asphalt, below the paint
+
+
+class Patch(NamedTuple):
+    """A stretch of the road with another friction: center line (n, 2) [m], width [m], factor on the road's friction."""
+
+    line: np.ndarray
+    width: float
+    friction: float
+
+
+def patch_on(disturbance: DisturbanceParams, path: Path, width: float) -> Patch | None:
+    """The stretch that a disturbance declares along a path, `width` [m] wide; None where there is none."""
+    d = disturbance
+    first, last = (int(min(max(at, 0.0) / path.spacing, path.x.size - 1)) for at in (d.patch_start, d.patch_end))
+    if last <= first or d.patch_friction == 1.0:
+        return None
+    every = max(int(2.0 / path.spacing), 1)
+    line = np.column_stack((path.x[first : last + 1 : every], path.y[first : last + 1 : every]))
+    return Patch(line, width, d.patch_friction) if len(line) > 1 else None
+
+
+def draw_stop_lines(stream: Stream, lines: tuple[StopLine, ...]) -> None:
+    """Log the lines once; those of lights, and a lamp above each, get their colors from `signal_colors`."""
+    plain = [_raised(line.ends) for line in lines if not line.light]
+    if plain:
+        stream.static("/world/road/stop_lines", rr.LineStrips3D(plain, radii=0.18, colors=packed([PAINT])))
+    lit = [_raised(line.ends) for line in lines if line.light]
+    if lit:
+        stream.static("/world/signals/lines", rr.LineStrips3D(lit, radii=0.25))
+        lamps = [ends.mean(axis=0) + np.array((0.0, 0.0, LAMP_HEIGHT)) for ends in lit]
+        stream.static("/world/signals/lamps", rr.Points3D(lamps, radii=0.4))
+
+
+def signal_colors(states: str) -> np.ndarray:
+    """(n,) packed colors of SUMO's letters for the lights, one per stop line."""
+    return packed(SIGNAL_COLORS.get(letter, SIGNAL_COLORS["O"]) for letter in states)
+
+
+def send_signals(stream: Stream, changes: list[tuple[int, str]]) -> None:
+    """Send what the lights show from each time [ms] on."""
+    if not changes:
+        return
+    times, states = zip(*changes, strict=True)
+    colors = signal_colors("".join(states))
+    lengths = [len(letters) for letters in states]
+    lines = rr.LineStrips3D.columns(colors=colors).partition(lengths)
+    stream.send("/world/signals/lines", np.array(times), lines)
+    stream.send("/world/signals/lamps", np.array(times), rr.Points3D.columns(colors=colors).partition(lengths))
+
+
+def draw_patch(stream: Stream, patch: Patch) -> None:
+    """Log the stretch once, as a tinted surface with a word at its begin."""
+    left, right = offset(patch.line, 0.5 * patch.width), offset(patch.line, -0.5 * patch.width)
+    flat = np.concatenate((left, right))
+    vertices = np.column_stack((flat, np.full(len(flat), PATCH_LEVEL)))
+    surface = rr.Mesh3D(
+        vertex_positions=vertices,
+        triangle_indices=ribbon(len(left)).astype(np.uint32),
+        vertex_normals=np.broadcast_to(np.array([0.0, 0.0, 1.0], dtype=np.float32), vertices.shape),
+        albedo_factor=int(packed([SLIPPERY])[0]),
+    )
+    stream.static("/world/road/patch", surface)
+    word = rr.Points3D(
+        [(*patch.line[0], 0.1)], radii=rr.Radius.ui_points(0.1), colors=packed([SLATE]),
+        labels=f"friction × {patch.friction:g}", show_labels=True,
+    )  # fmt: skip
+    stream.static("/world/road/patch/label", word)
+
+
+def _raised(ends: np.ndarray) -> np.ndarray:
+    return np.column_stack((ends, np.full(len(ends), LINE_LEVEL)))
