@@ -102,12 +102,15 @@ def run(
 
         chosen = chosen_egos(ego, ego_type, penetration)
         located = load(scenario, overrides(flags, set_, set_file, chosen, vehicle))
+        if baseline_native and located.values.world == "track":
+            raise UserError("--baseline-native: the test bench has no SUMO; accepted is a scenario with traffic.")
         command = shlex.join(["emran-sumo", *sys.argv[1:]])
         shown = _live_viewer(no_record) if live else ""
         result = drive.run(
             located, out, record=not no_record, gui=sumo_gui, live=shown, command=command, progress=display.phase
         )
-        native = drive.native(located, result, display.phase) if baseline_native else None
+        compares = baseline_native and result.ended != "interrupted"
+        native = drive.native(located, result, display.phase) if compares else None
     _finish(result, not no_record, view)
     if native is not None:
         terminal.show_native(result, native)

@@ -133,11 +133,9 @@ def native(located: Located, result: RunResult, progress: Progress = lambda *_: 
     """The same scenario and seed with SUMO driving the ego of a run, for comparison.
 
     Raises:
-        UserError: the scenario has no SUMO, or SUMO stops.
+        UserError: SUMO stops.
     """
     scenario = located.values
-    if scenario.world == "track":
-        raise UserError("--baseline-native: the test bench has no SUMO; accepted is a scenario with traffic.")
     name = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))["ego"]
     with TemporaryDirectory() as folder, opening(located)(Path(folder), False) as world:
         assert isinstance(world, SumoWorld)
@@ -262,6 +260,11 @@ class Host:
             self.outcomes[name] = ended
         self.wall = time.perf_counter() - began
 
+    @property
+    def never_seen(self) -> list[str]:
+        """Egos that were asked for by their ids and have not come."""
+        return [name for name in self._selection.ids if name not in self.all]
+
     def _is_over(self) -> bool:
         if self.active:
             return False
@@ -319,7 +322,7 @@ class Host:
             return Outcome(
                 "diverged",
                 f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
-                f"heading error {math.degrees(row[AT.heading_error]):.0f} deg",
+                f"heading error {math.degrees(row[AT.heading_error]):.0f} deg{ego.too_tight()}",
             )
         if ego.collided:
             return Outcome("collision", f"collided with {', '.join(sorted(ego.collided))} {after}")
@@ -378,7 +381,7 @@ def _open_recorder(
     if isinstance(world, SumoWorld) and signals is not None:
         road = road._replace(stop_lines=stop_lines(world.map, signals))
     limits = Limits(v.steer_limit, v.steer_rate, s.longitudinal.accel_max, s.longitudinal.decel_max)
-    patch = patch_on(s.disturbance, ego.path, ego.lane_width)
+    patch = patch_on(s.disturbance, ego.path, ego.lane_width, ego.route_offset)
     try:
         return Recorder(
             file, recording=identity, name=name, road=road, ego=_shape(ego), columns=COLUMNS,

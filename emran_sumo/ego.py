@@ -36,8 +36,10 @@ NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
 SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
+LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 BESIDE_PATH = 0.3  # m beside the path from where a vehicle is led to it
 WAY_IN, LEAST_WAY_IN = 4.0, 20.0  # s, m
+ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
 SETTING_OFF, SETTING_OFF_ACCEL = 3.0, 0.5  # m/s, m/s2
@@ -209,7 +211,7 @@ class Ego:
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
-        return References(self.path, self.driven, speeds, accels, noise, self._origin)
+        return References(self.path, self.driven, speeds, accels, noise, self._origin + self.route_offset)
 
     def _softened(self, end: float, step: float) -> float:
         """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""
@@ -252,6 +254,16 @@ class Ego:
         """All rows so far (n, len(COLUMNS))."""
         return np.concatenate(self.frames) if self.frames else np.zeros((0, len(COLUMNS)))
 
+    def too_tight(self) -> str:
+        """Words for a lost car: what of its way no car can drive, as where SUMO turns back within its lane."""
+        v, spacing = self.vehicle, self.base.spacing
+        first = max(int((self.state.position - LOST_WITHIN) / spacing), 0)
+        sharpest = np.abs(self.base.curvature[first : first + int(2 * LOST_WITHIN / spacing)]).max(initial=0.0)
+        least = (v.front_axle + v.rear_axle) / math.tan(v.steer_limit)
+        if sharpest * least <= 1.0:
+            return ""
+        return f"; its route turns within {1.0 / sharpest:.1f} m there, and the car needs {least:.1f} m"
+
     def _seen(self, traffic: Traffic) -> Others:
         """Traffic in coordinates of the lane that the ego follows or changes to."""
         car = self.state.vehicle
@@ -265,7 +277,7 @@ class Ego:
         cosine, s = np.cos(turned), np.abs(np.sin(turned))
         c = np.abs(cosine)
         length, width = traffic.length * c + traffic.width * s, traffic.length * s + traffic.width * c
-        return Others(ahead, along[:, 1], traffic.speed * cosine, length, width, offset)
+        return Others(ahead, along[:, 1], traffic.speed * cosine, length, width, offset, cosine)
 
     def _center_ahead(self) -> float:
         """From the center of gravity forward to the center of the body [m]."""
@@ -279,7 +291,9 @@ class Ego:
         v = self.vehicle
         gap = others.ahead - 0.5 * (others.length + v.length)
         # who is beside is no lead; whether the bodies touch is another question
-        candidates = np.flatnonzero((gap > -BESIDE) & (np.abs(others.offset) < 3.0 * self.lane_width))
+        candidates = np.flatnonzero(
+            (gap > -BESIDE) & (np.abs(others.offset) < 3.0 * self.lane_width) & (others.alignment > ALIGNED)
+        )
         best = metrics.NO_LEAD
         for k in candidates[np.argsort(gap[candidates])]:
             if abs(others.offset[k] - self._corridor(float(others.ahead[k]))) < 0.5 * (others.width[k] + v.width):

@@ -11,7 +11,7 @@ from emran_sumo.world.records import Traffic
 MEMORY = 3.0  # s
 SAMPLING = 0.2  # s
 NEAR = 40.0  # m
-CROSSING = math.sin(math.radians(20.0))  # sine of the angle between two ways that cross
+CROSSING = math.sin(math.radians(45.0))  # of the angle between ways that cross; who follows in a bend turns by less
 
 Past = deque[tuple[float, Box]]
 

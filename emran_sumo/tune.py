@@ -160,6 +160,12 @@ def tune(file: Path, out: Path, plan: Plan, command: str, progress: Progress = l
     """
     need_packages()
     tuning = read(file)
+    try:
+        out.resolve().parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out: cannot write {out}: {error.strerror}; accepted is a file in a folder.") from None
+    if out.is_dir() or not out.name:
+        raise UserError(f"--out: found {out}, a folder; accepted is a TOML file.")
     kept = Checkpoint(checkpoint_file(out), _identity(tuning, plan))
     try:
         units = units_of(tuning)  # also fills the cache of compiled kernels before the workers read it

@@ -2,7 +2,8 @@
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import libsumo
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 
 from emran_sumo import drive, locate, scenario
 from emran_sumo.drive import RunResult
-from emran_sumo.ego import COLUMNS, fitted
+from emran_sumo.ego import COLUMNS, Ego, fitted
 from emran_sumo.errors import UserError
 from emran_sumo.opening import opening
+from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.world.sumo import SumoWorld
 
 TYPES = """\
@@ -227,6 +229,37 @@ def test_several_egos_have_their_own_traces_and_one_end_leaves_the_others(tmp_pa
         assert found["metrics"]["run"]["simulated"] == pytest.approx(times[-1])
     traces = {found["metrics"]["run"]["distance"] for found in told["egos"].values()}
     assert len(traces) == 3
+
+
+def test_egos_that_depart_later_are_taken_over_as_they_depart_and_who_never_comes_is_told(tmp_path):
+    late = vehicle("late", "south_a.a1 a1.a2", 20, "10", depart=3.0, kind="mine")
+    result = run(written(tmp_path / "user", [ego("b1.b2 b2.b3"), late]), 10.0, "ego", "late", "nobody")
+    told = summary(result)
+    assert set(told["egos"]) == {"ego", "late"}
+    assert told["egos"]["late"]["metrics"]["run"]["simulated"] == pytest.approx(7.0, abs=0.1)
+    assert "has not departed: nobody" in told["notes"]
+
+
+def test_a_share_is_taken_of_those_that_depart_on_the_way_too(tmp_path):
+    cars = [vehicle(f"c{k}", "b1.b2 b2.b3", 20, "10", depart=3.0 * k) for k in range(5)]
+    told = summary(run(written(tmp_path / "user", cars), 15.0, egos__penetration=1.0))
+    assert set(told["egos"]) == {f"c{k}" for k in range(5)}
+
+
+def test_traffic_that_crosses_is_no_lead(tmp_path):
+    crossing = stream("w", "a2.b2 b2.c2", 6)
+    result = run(written(tmp_path / "user", [ego("b1.b2 b2.b3"), *crossing]), 15.0, "ego")
+    assert result.metrics["safety"]["conflicts"] == 0
+    assert result.metrics["safety"]["time_to_collision_min"] is None
+
+
+TIGHT = "; its route turns within 1.6 m there, and the car needs 3.8 m"
+
+
+@pytest.mark.parametrize(("radius", "words"), [(1.6, TIGHT), (8.0, "")])
+def test_who_is_lost_where_no_car_can_turn_is_told_so(bench, radius, words):
+    car = SimpleNamespace(vehicle=VehicleParams(), base=bench.circle(radius, 20.0), state=SimpleNamespace(position=5.0))
+    assert Ego.too_tight(cast(Any, car)) == words
 
 
 def test_without_cars_the_end_is_a_sentence_that_names_what_came(tmp_path):

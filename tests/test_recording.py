@@ -610,7 +610,8 @@ def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
             if (k + 1) % 80 == 0:
                 held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()  # only now: Rerun's own thread frees what was sent, and tracing must not end under it
-    assert max(held[3:]) - max(held[:3]) < 200_000, "one chunk may still be on its way"
+    # a chunk is 0.45 MB: two may be on their way to Rerun's thread; all that were written would be 2.7 MB
+    assert max(held[3:]) - max(held[:3]) < 1_000_000
     with open_recorder(tmp_path / "b.rrd") as recorder:
         start = time.process_time()
         for k, (traffic, ahead) in enumerate(scene):
@@ -699,7 +700,8 @@ def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_pa
     summary = json.loads((result.folder / "summary.json").read_text())
     told = summary["manifest"]
     for group, name, *values in report.rows(summary):
-        assert f"| {group} | {name} | {values[0]} |" in text
+        # how long it took is not in it: equal runs have equal recordings
+        assert (f"| {group} | {name} | {values[0]} |" in text) == (name != "real-time factor")
     for name, number in told["versions"].items():
         assert f"{name} {number}" in text
     assert text.startswith(f"**{report.verdict(summary)}**")

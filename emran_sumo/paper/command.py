@@ -20,10 +20,12 @@ def paper(
         UserError: a table or a delay that is none, or a file in no folder.
     """
     for flag, file in (("--json", json_file), ("--markdown", markdown)):
-        if file and not file.resolve().parent.is_dir():
+        if file and (file.is_dir() or not file.resolve().parent.is_dir()):
             raise UserError(f"{flag}: found {file}; accepted is a file in a folder that exists.")
     how, wanted = tables.condition(noise, delay), tables.chosen(names)
-    if literal and not tables.driven_tables(wanted):
+    if markdown and (names or json_file or literal or noise or delay):
+        raise UserError("--markdown: writes every table in every condition; accepted without other options.")
+    if literal and len(tables.driven_tables(wanted)) < len(names):
         raise UserError("--literal: accepted with the tables III to IX, XI and blind.")
     out = show.console()
     if not compiled_before():

@@ -24,10 +24,12 @@ class Patch(NamedTuple):
     friction: float
 
 
-def patch_on(disturbance: DisturbanceParams, path: Path, width: float) -> Patch | None:
-    """The stretch that a disturbance declares along a path, `width` [m] wide; None where there is none."""
+def patch_on(disturbance: DisturbanceParams, path: Path, width: float, origin: float = 0.0) -> Patch | None:
+    """The stretch that a disturbance declares along a path that begins at `origin` [m] of the road, `width` [m] wide;
+    None where there is none."""
     d = disturbance
-    first, last = (int(min(max(at, 0.0) / path.spacing, path.x.size - 1)) for at in (d.patch_start, d.patch_end))
+    ends = (d.patch_start - origin, d.patch_end - origin)
+    first, last = (int(min(max(at, 0.0) / path.spacing, path.x.size - 1)) for at in ends)
     if last <= first or d.patch_friction == 1.0:
         return None
     every = max(int(2.0 / path.spacing), 1)

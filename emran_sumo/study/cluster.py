@@ -29,6 +29,10 @@ class ClusterPool:
         self.died: tuple[type[BaseException], ...] = (KilledWorker,)
         quiet = logging.getLogger("distributed")
         quiet.setLevel(logging.CRITICAL)
+        scheme, _, place = address.rpartition("://")
+        host, _, port = place.rpartition(":")
+        if scheme not in ("", "tcp", "tls", "ws", "wss", "ucx") or not host or not port.isdecimal():
+            raise UserError(f'--dask: found "{address}"; accepted is the address of a scheduler, e.g. tcp://host:8786.')
         try:
             self._client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:

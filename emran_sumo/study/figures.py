@@ -255,7 +255,7 @@ def _collisions(cut: Slice) -> Drawn | None:
 
 
 def _traffic(cut: Slice) -> Drawn | None:
-    density, flow, speed = (Metric(f"traffic.{key}", key, "") for key in ("density", "flow", "speed_mean"))
+    density, flow, speed = (Metric(f"traffic.{key}", key, "") for key in ("density_measured", "flow", "speed_mean"))
     seeds = cut.seeds()
     some = any(np.isfinite(cut.values(flow, n, x, seeds)).any() for n, x in cut.cells)
     figure, sheet = _sheet(3 if some else 1, 3, 2.2)

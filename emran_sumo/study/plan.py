@@ -15,6 +15,7 @@ from emran_sumo.scenario import FILE, Located, find, flat, load, parse_value, to
 RECORD = ("none", "all", "failed", "worst")
 SEEDS = 10  # where neither file nor command line says how many
 LARGEST_SEED = 2**31 - 1
+MOST_SEEDS = 100_000
 _KEYS = ("title", "scenario", "seeds", "record", "timeout", "set", "grid")
 
 
@@ -112,14 +113,16 @@ def seeds(given: object, where: str) -> tuple[int, ...]:
     found: Iterable[object] = given if isinstance(given, tuple) else ()
     if isinstance(given, str):
         first, dash, last = given.partition("-")
-        if dash and first.strip().isdigit() and last.strip().isdigit():
+        if dash and first.strip().isdecimal() and last.strip().isdecimal():
             found = range(int(first), int(last) + 1)
-        elif given.strip().isdigit():
+        elif given.strip().isdecimal():
             given = int(given)
         else:
-            found = tuple(int(part) if part.strip().isdigit() else part for part in given.split(",") if part.strip())
+            found = tuple(int(part) if part.strip().isdecimal() else part for part in given.split(",") if part.strip())
     if isinstance(given, int) and not isinstance(given, bool):
         found = range(1, given + 1)
+    if isinstance(found, range) and len(found) > MOST_SEEDS:
+        raise UserError(f"{where}: found {len(found)} seeds; accepted are at most {MOST_SEEDS}.")
     unique = tuple(dict.fromkeys(found))
     if not unique or not all(isinstance(s, int) and not isinstance(s, bool) and 0 <= s <= LARGEST_SEED for s in unique):
         raise UserError(
@@ -221,9 +224,10 @@ def replay(run: Run) -> str:
 
 
 def run_name(run: Run) -> str:
-    """A name for files of this run."""
-    parts = [run.label, *(f"{key}={_text(value)}" for key, value in run.factors.items()), f"seed={run.given['seed']}"]
-    return "".join(c if c.isalnum() or c in ".=-_," else "_" for c in ",".join(parts))[:180]
+    """A name for files of this run, of its own however long its factors are."""
+    parts = [run.label, *(f"{key}={_text(value)}" for key, value in run.factors.items())]
+    text = "".join(c if c.isalnum() or c in ".=-_," else "_" for c in ",".join(parts))
+    return f"{text[:150]},seed={run.given['seed']}" + (f",{run.key[:8]}" if len(text) > 150 else "")
 
 
 def _text(value: Any) -> str:

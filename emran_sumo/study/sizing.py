@@ -1,6 +1,7 @@
 """What a study will cost, from a short pilot that leaves nothing behind."""
 
 import json
+import secrets
 import shutil
 import tempfile
 from pathlib import Path
@@ -43,7 +44,7 @@ def estimate(of: Plan, settings: Settings) -> Size:
         run.key: full.values.duration / here.values.duration
         for run, here, full in zip(tried, there, located, strict=True)
     }
-    now, recorded, scratch = identity.of(located), of.record != "none", "pilot"
+    now, recorded, scratch = identity.of(located), of.record != "none", f"pilot-{secrets.token_hex(6)}"
     limit = of.timeout or max(map(automatic_timeout, located))
     tasks = [Task(r.key, r.scenario, r.given, now, limit, recorded, scratch) for r in tried[::step]]
     with tempfile.TemporaryDirectory() as folder, stoppable():
@@ -56,7 +57,7 @@ def estimate(of: Plan, settings: Settings) -> Size:
             shutil.rmtree(scratch_folder(scratch), ignore_errors=True)
     for outcome in found:
         if outcome.state != DONE:
-            raise UserError(f"--dry-run: a pilot run failed: {outcome.error or outcome.state}.")
+            raise UserError(f"--dry-run: a pilot run failed: {(outcome.error or outcome.state).rstrip('.')}.")
     return _sized(found, scale, len(runs), workers, of.record)
 
 

@@ -137,6 +137,7 @@ def columns(rows: list[Row]) -> dict[str, list[Any]]:
     for name in ("state", "ended", "reason", "error"):
         found[name] = [getattr(row, name) or "" for row in rows]
     for name in metrics:
+        assert name not in found, f"{name} is a factor and a metric"
         found[name] = [row.metrics.get(name) for row in rows]
     found["command"] = [replay(row.run) for row in rows]
     return found

@@ -42,7 +42,7 @@ class Flow:
         area = self._looks * self._length
         speed = self._speeds / self._vehicles if self._vehicles > 0 else 0.0
         return {
-            "density": 1000.0 * self._vehicles / area,
+            "density_measured": 1000.0 * self._vehicles / area,
             "flow": 3600.0 * self._speeds / area,
             "speed_mean": speed,
         }

@@ -49,7 +49,7 @@ class Phantoms:
     def _add(self, ego: str, step: float) -> None:
         vehicle, phantom = libsumo.vehicle, PREFIX + ego
         # the ego's own copy of its type ("type@ego") dies with the first vehicle that has it: take the original
-        vehicle.add(phantom, "", vehicle.getTypeID(ego).partition("@")[0])
+        vehicle.add(phantom, "", vehicle.getTypeID(ego).removesuffix(f"@{ego}"))
         vehicle.setRoute(phantom, vehicle.getRoute(ego)[vehicle.getRouteIndex(ego) :])
         vehicle.setLaneChangeMode(phantom, NEVER_CHANGES_LANE)
         vehicle.setActionStepLength(phantom, step)

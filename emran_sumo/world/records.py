@@ -55,7 +55,8 @@ class Others(NamedTuple):
 
     ahead: position of the center of each body ahead of the ego's center [m], negative behind; offset: lateral, from the
     lane's center [m], left positive; speed [m/s]; length, width: extent of each body along and across the lane, however
-    it is turned [m]; arrays (n,). own_offset: of the ego itself [m].
+    it is turned [m]; arrays (n,). own_offset: of the ego itself [m]. alignment: cosine of the angle between each body
+    and the lane, (n,) or 1 for all.
     """
 
     ahead: np.ndarray
@@ -64,6 +65,7 @@ class Others(NamedTuple):
     length: np.ndarray
     width: np.ndarray
     own_offset: float = 0.0
+    alignment: np.ndarray | float = 1.0
 
 
 NOBODY = Traffic((), *(np.zeros(0) for _ in range(7)))

@@ -105,7 +105,11 @@ def _departure(vehicle: ET.Element, declared: list[ET.Element], length: float, s
         speed = float(vehicle.get("departSpeed", 0.0))
     except ValueError:  # "max", "desired", ...
         speed = speed_limit
-    return Departure(edges[int(vehicle.get("departEdge", 0))], lane, position, speed, length)
+    begin = vehicle.get("departEdge", "0")
+    if not begin.isdecimal() or int(begin) >= len(edges):
+        many = f"0 to {len(edges) - 1}" if edges else "a route with edges"
+        raise UserError(f'vehicle "{vehicle.get("id")}": departEdge: found "{begin}"; accepted is {many}.')
+    return Departure(edges[int(begin)], lane, position, speed, length)
 
 
 def vehicle_types(declared: list[ET.Element], name: str) -> list[VehicleType]:
@@ -168,6 +172,8 @@ def route_edges(declared: list[ET.Element], name: str) -> list[str]:
     for root in declared:
         for route in root.iter("route"):
             if route.get("id") == name:
+                if not _edges(route):
+                    raise UserError(f'route "{name}": edges: found none; accepted is one edge at least.')
                 return _edges(route)
     known = [route.get("id", "") for root in declared for route in root.iter("route")]
     raise UserError(f'traffic: found the route "{name}", which no route file declares. {nearest_name(name, known)}')

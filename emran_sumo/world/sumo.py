@@ -57,6 +57,8 @@ class SumoWorld:
         self._lags: dict[str, float] = {}
         self._routes: dict[str, str] = {}
         self.last_message = ""
+        self._departed: dict[str, None] = {}
+        self._collisions: dict[tuple[str, str], None] = {}
         self.end = math.inf  # of the scenario [s]
         unknown = session.start(options, step, seed, gui)
         self.notes: tuple[str, ...] = (f"left out, as SUMO does not know it: {', '.join(unknown)}",) if unknown else ()
@@ -100,6 +102,14 @@ class SumoWorld:
                     libsumo.simulation.step()
             finally:
                 self.last_message = read() or self.last_message
+        self._note(fresh=True)
+
+    def _note(self, fresh: bool) -> None:
+        """Keep what SUMO reports: it holds each half of a split step for itself."""
+        if fresh:
+            self._departed, self._collisions = {}, {}
+        self._departed |= dict.fromkeys(phantom.real(libsumo.simulation.getDepartedIDList()))
+        self._collisions |= {(c.collider, c.victim): None for c in libsumo.simulation.getCollisions()}
 
     def present(self) -> tuple[str, ...]:
         """Vehicles on the road."""
@@ -107,7 +117,7 @@ class SumoWorld:
 
     def departed(self) -> tuple[str, ...]:
         """Vehicles that have come in the last step."""
-        return phantom.real(libsumo.simulation.getDepartedIDList())
+        return tuple(self._departed)
 
     def expected(self) -> int:
         """Vehicles on the road or still to come."""
@@ -115,7 +125,7 @@ class SumoWorld:
 
     def kind(self, name: str) -> tuple[str, str]:
         """Type and class of a vehicle."""
-        return libsumo.vehicle.getTypeID(name).partition("@")[0], libsumo.vehicle.getVehicleClass(name)
+        return libsumo.vehicle.getTypeID(name).removesuffix(f"@{name}"), libsumo.vehicle.getVehicleClass(name)
 
     def size(self, name: str) -> tuple[float, float, float]:
         """Length, width and height of a vehicle [m]."""
@@ -198,6 +208,7 @@ class SumoWorld:
                 self._place(ego, pose._replace(x=x, y=y))
             self._pending = True
             libsumo.simulation.executeMove()
+            self._note(fresh=True)
             intents = {ego: self._intent(ego) for ego in poses}
             return {ego: intent._replace(speed=min(intent.speed, caps[ego])) for ego, intent in intents.items()}
 
@@ -235,6 +246,7 @@ class SumoWorld:
                 if self.knows(ego):
                     self._place(ego, pose)
             libsumo.simulation.step()
+            self._note(fresh=False)
             self._pending = False
             for ego, pose in poses.items():
                 if not self.lane_of(ego):
@@ -368,9 +380,7 @@ class SumoWorld:
 
     def collisions(self) -> list[tuple[str, str]]:
         """Colliding pairs that SUMO reports for the last step, without phantoms."""
-        found = libsumo.simulation.getCollisions()
-        pairs = [(c.collider, c.victim) for c in found]
-        return [pair for pair in pairs if not any(name.startswith(phantom.PREFIX) for name in pair)]
+        return [pair for pair in self._collisions if not any(name.startswith(phantom.PREFIX) for name in pair)]
 
     def vehicle_count(self) -> int:
         """Vehicles on the road, without phantoms."""
