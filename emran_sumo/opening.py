@@ -45,8 +45,8 @@ def opening(located: Located) -> Callable[[Path, bool], World]:
 
         return open_config
     network, routes = _files(located)
-    if scenario.ego:
-        check_ego(scenario.ego, routes)
+    for name in (scenario.ego,) if scenario.ego else scenario.egos.ids:
+        check_ego(name, routes)
     additional = [located.folder / name for name in scenario.additional]
 
     def open_scenario(folder: Path, gui: bool) -> SumoWorld:
@@ -79,4 +79,4 @@ def _write_traffic(file: Path, network: Path, routes: list[Path], scenario: Scen
     except (ET.ParseError, gzip.BadGzipFile, EOFError) as error:
         raise UserError(f"{network}: not a network file: {error}.") from None
     except ValueError as error:
-        raise UserError(f"traffic: {error}.") from None
+        raise UserError(f"{', '.join(map(str, routes))}: {error}.") from None

@@ -205,7 +205,11 @@ EGO = '<vehicle id="ego" type="ego_sedan" route="through" depart="0" departLane=
         ('id="ego"', 'id="eggo"', r'ego: found "ego", which is no vehicle of .*cars\.rou\.xml\. Did you mean "eggo"\?'),
         (ROUTES[ROUTES.index("<vehicle ") :], "</routes>", r'ego: found "ego", .* They declare no single vehicle\.'),
         ('depart="0"', 'depart="9999"', r'ego: vehicle "ego" of .* was not on the road .*'),
-        ('departLane="1"', 'departLane="left"', r"traffic: vehicle 'ego' needs numbers as departLane and departPos\."),
+        (
+            'departLane="1"',
+            'departLane="left"',
+            r".*cars\.rou\.xml: vehicle 'ego' needs numbers as departLane and departPos\.",
+        ),
         (
             'route="through"',
             'route="trough"',

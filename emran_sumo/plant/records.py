@@ -17,8 +17,8 @@ class VehicleParams(NamedTuple):
     power and torque that a 40 degree climb at 25 m/s needs.
     """
 
-    mass: Annotated[float, Field(gt=0), Unit("kg")] = 1480.0
-    yaw_inertia: Annotated[float, Field(gt=0), Unit("kg m^2")] = 2350.0
+    mass: Annotated[float, Field(gt=0, le=1e5), Unit("kg")] = 1480.0
+    yaw_inertia: Annotated[float, Field(gt=0, le=1e7), Unit("kg m^2")] = 2350.0
     front_axle: Annotated[float, Field(gt=0), Unit("m")] = 1.05
     rear_axle: Annotated[float, Field(gt=0), Unit("m")] = 1.63
     cog_height: Annotated[float, Field(ge=0), Unit("m")] = 0.53
