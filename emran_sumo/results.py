@@ -1,5 +1,6 @@
 """What is counted while egos are driven, and what a run says of them afterwards."""
 
+import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -103,5 +104,6 @@ def write_traces(folder: Path, host: Any) -> None:
 
 
 def _file_name(ego: str) -> str:
-    """An id of SUMO as the name of a file."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in ego)
+    """An id of SUMO as the name of a file, another one for another id."""
+    plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in ego)
+    return plain if plain == ego else f"{plain}-{hashlib.sha256(ego.encode()).hexdigest()[:6]}"

@@ -18,7 +18,13 @@ from emran_sumo.errors import Interrupted
 DONE, FAILED, CHANGED, NO_SPACE, INTERRUPTED = "done", "failed", "changed", "no space", "interrupted"
 CLOCKS = ("run.real_time_factor",)  # metrics of the machine, not of the run
 BAD = ("collision", "diverged", "lost")  # ends, worst first
-_SUMS = ("safety.collisions", "run.distance", "run.simulated", "run.lane_changes")  # over several egos
+_SUMS = (
+    "safety.collisions",
+    "safety.conflicts",
+    "run.distance",
+    "run.simulated",
+    "run.lane_changes",
+)  # over several egos
 _DISK = (errno.ENOSPC, errno.EROFS, errno.EDQUOT)
 
 _one_at_a_time = threading.Lock()  # libsumo holds one simulation per process
