@@ -241,10 +241,10 @@ class Host:
         for done in range(1, steps + 1):
             try:
                 self._step()
-            except UserError:
+            except UserError as error:
                 if not real_time:
                     raise
-                self._stop.window_closed = True
+                self._stop.sumo_said = str(error)  # whoever watches has closed the window
             self._progress("drive", done * self.world.step, duration)
             if real_time:  # somebody watches SUMO's own window
                 time.sleep(max(began + done * self.world.step - time.perf_counter(), 0.0))

@@ -18,8 +18,8 @@ CLOSING_AHEAD = 4.0  # s during which a slower leader comes closer
 CLOSING_BEHIND = 3.0  # s until a faster follower has seen the ego and brakes
 LEAST_GAP = 6.0  # m left after that, plus a time headway
 HEADWAY = 0.4  # s
-RETURN = 2.0  # s that the way back takes
-LEAST_RETURN_GAP = 1.0  # m left after that
+ACROSS = 2.0  # s until the ego is across
+LEAST_ACROSS = 1.0  # m left after that
 
 
 class DoubleLaneChange(NamedTuple):
@@ -118,9 +118,12 @@ def gap_is_free(change: DoubleLaneChange, others: Others, speed: float, length: 
     return not np.any(blocked_ahead | blocked_behind)
 
 
-def own_lane_is_free(others: Others, speed: float, length: float, width: float) -> bool:
-    """Whether nobody in the own lane is in the way of the return, as gap_is_free."""
-    own = np.abs(others.offset) < 0.5 * width
+def lane_is_free(others: Others, speed: float, length: float, width: float) -> bool:
+    """Whether nobody in the lane that `others` refers to comes too close before the ego is across.
+
+    speed, length: of the ego [m/s], [m]; width: of the lane [m].
+    """
+    inside = np.abs(others.offset) < 0.5 * width
     gap = np.abs(others.ahead) - 0.5 * (others.length + length)
-    closing = np.where(others.ahead >= 0.0, speed - others.speed, others.speed - speed)
-    return not np.any(own & (gap - np.maximum(closing, 0.0) * RETURN < LEAST_RETURN_GAP))
+    closing = np.where(others.ahead > 0.0, speed - others.speed, others.speed - speed)
+    return not np.any(inside & (gap - np.maximum(closing, 0.0) * ACROSS < LEAST_ACROSS))

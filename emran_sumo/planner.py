@@ -25,7 +25,6 @@ SPARE = 8.0  # m of the lane that are left behind it
 SLOW = 1.0  # m/s
 AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
-PATIENCE = 2.0  # s ahead that a gap must last until the ego is across
 REACH = 120.0  # m of path that must lie ahead, else it is built anew
 
 
@@ -120,7 +119,7 @@ class DoubleLaneChanger:
 
     def _return(self, ego: Ego, change: DoubleLaneChange, others: Others, done: float) -> None:
         """Begin the way back, or stay beside until the own lane has room."""
-        free = maneuver.own_lane_is_free(others, ego.speed, ego.vehicle.length, ego.lane_width)
+        free = _is_free(ego, others)
         if free:
             self._returning = True
             if self._back > change.back_start:
@@ -196,7 +195,7 @@ class LaneFollower:
             self._changing, self._last = None, ego.time
             lanes.changed_lane(ego.name)
             ego.enter("keep lane", f"lane change {word} done")
-        elif abs(others.own_offset) > 0.5 * ego.lane_width and _closing(ego, others):
+        elif abs(others.own_offset) > 0.5 * ego.lane_width and not _is_free(ego, others):
             length = max(ego.speed * 0.5 * DURATION, SHORTEST)
             if self._blend(ego, changing.before, length):
                 self._changing = Changing(-changing.side, ego.base, ego.state.position + length)
@@ -218,12 +217,9 @@ class LaneFollower:
         self._blend(ego, target, SHORTEST)
 
 
-def _closing(ego: Ego, others: Others) -> bool:
-    """Whether somebody in the lane aimed at will be too close before the ego is across."""
-    inside = np.abs(others.offset) < 0.5 * ego.lane_width
-    gap = np.abs(others.ahead) - 0.5 * (others.length + ego.vehicle.length)
-    closing = np.where(others.ahead > 0.0, ego.speed - others.speed, others.speed - ego.speed)
-    return bool(np.any(inside & (gap - np.maximum(closing, 0.0) * PATIENCE < 1.0)))
+def _is_free(ego: Ego, others: Others) -> bool:
+    """Whether the lane that the ego is in or aims at has room for it."""
+    return maneuver.lane_is_free(others, ego.speed, ego.vehicle.length, ego.lane_width)
 
 
 def planner_for(

@@ -51,11 +51,11 @@ def summary_of(host: Any, told: dict[str, Any]) -> dict[str, Any]:
     summary: dict[str, Any] = {"ended": shown.ended, "reason": shown.reason, "metrics": found[host.shown]}
     if len(host.all) > 1:
         summary["egos"] = {name: {**host.outcomes[name]._asdict(), "metrics": found[name]} for name in host.all}
-    notes = [*(host.world.notes if isinstance(host.world, SumoWorld) else ())]
+    notes = list(host.world.notes) if isinstance(host.world, SumoWorld) else []
     if host.never_seen:
         notes.append(f"has not departed: {', '.join(host.never_seen)}")
     outline = _outline(host.all[host.shown].ego.vehicle)
-    return summary | {"ego": host.shown, "outline": outline, "notes": list(notes), "manifest": told}
+    return summary | {"ego": host.shown, "outline": outline, "notes": notes, "manifest": told}
 
 
 def _outline(v: VehicleParams) -> dict[str, float]:

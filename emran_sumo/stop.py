@@ -18,7 +18,7 @@ class Stop:
     def __init__(self) -> None:
         self.signal = 0
         self.driving = False
-        self.window_closed = False
+        self.sumo_said = ""  # when its own window ended the run
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         if self.signal or not self.driving:
@@ -28,8 +28,8 @@ class Stop:
     @property
     def words(self) -> str:
         """What stopped the run; "" when nothing did."""
-        if self.window_closed:
-            return "stopped as SUMO's window was closed"
+        if self.sumo_said:
+            return f"stopped with SUMO's window ({self.sumo_said.rstrip('.')})"
         return f"stopped by {signal.Signals(self.signal).name}" if self.signal else ""
 
 
