@@ -197,23 +197,13 @@ def _plain(params, network, memory, motion, speed_reference, period):
 
 @njit
 def _full(params, network, vehicle, memory, motion, speed_reference, accel_reference, period):
-    emran = params.emran
     v, b = _observe(params, memory, motion, period)
     known = resistance(vehicle, speed_reference)
-    net, signal, learned = 0.0, 0.0, False
-    if emran.authority > 0.0 and motion.speed > LEARNING_SPEED:
-        here = _inputs(params, speed_reference, accel_reference, b)
-        missing = motion.achieved - (motion.specific_force - b) - known - b
-        signal = missing - predict(emran, network, here)
-        learned = learn(emran, network, here, signal, 1.0, period)
-        if learned:
-            learn_bias(emran, network, missing - predict(emran, network, here), 1.0, period)
-        prune(emran, network, here)
     pitching = motion.pitch_rate * math.sqrt(max(GRAVITY * GRAVITY - b * b, 0.0))
     ahead = b + params.grade_lead * pitching
-    if emran.authority > 0.0:
-        there = _inputs(params, speed_reference, accel_reference, ahead)
-        net = emran.authority * predict(emran, network, there)
+    net, signal, learned = missing_accel(
+        params, network, vehicle, motion, speed_reference, accel_reference, b, ahead, period
+    )
     error = speed_reference - v
     feedback, pid_memory = pid(params.pid, memory.pid, error, motion.achieved - memory.expected, period)
     law = accel_reference + known + ahead + feedback + params.K_1 * error
@@ -225,6 +215,39 @@ def _full(params, network, vehicle, memory, motion, speed_reference, accel_refer
     expected = memory.expected + period / (params.lag + period) * (led - memory.expected)
     command = CruiseCommand(_limited(params, led), law, net, signal, learned)
     return command, CruiseMemory(v, b, motion.specific_force, asked, led, expected, pid_memory)
+
+
+@njit
+def missing_accel(params, network, vehicle, motion, speed_reference, accel_reference, grade_accel, ahead, period):
+    """Learn what the inverse model misses here and say what it will miss at the wanted point.
+
+    Args:
+        params: CruiseParams (learning and scales are used).
+        network: EmranMemory with 3 inputs, changed in place.
+        vehicle: VehicleParams the law believes in.
+        motion: Motion, the measurements.
+        speed_reference, accel_reference: wanted [m/s], [m/s2].
+        grade_accel: g sin(grade) [m/s2] here; ahead: the same where the command will act.
+        period: control period [s].
+
+    Returns:
+        (acceleration to add [m/s2], learning signal [m/s2], whether the sample was used)
+    """
+    emran = params.emran
+    net, signal, learned = 0.0, 0.0, False
+    if emran.authority > 0.0 and motion.speed > LEARNING_SPEED:
+        here = _inputs(params, speed_reference, accel_reference, grade_accel)
+        known = resistance(vehicle, speed_reference)
+        missing = motion.achieved - (motion.specific_force - grade_accel) - known - grade_accel
+        signal = missing - predict(emran, network, here)
+        learned = learn(emran, network, here, signal, 1.0, period)
+        if learned:
+            learn_bias(emran, network, missing - predict(emran, network, here), 1.0, period)
+        prune(emran, network, here)
+    if emran.authority > 0.0:
+        there = _inputs(params, speed_reference, accel_reference, ahead)
+        net = emran.authority * predict(emran, network, there)
+    return net, signal, learned
 
 
 @njit

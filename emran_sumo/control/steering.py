@@ -182,10 +182,31 @@ def _law(params, vehicle, state, path, point, cross_track_error, heading_error):
 
 @njit
 def _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period):
+    cross_track = cross_track_error + params.reference_ahead * math.sin(heading_error)
+    law = _law(params, vehicle, state, path, point, cross_track, heading_error)
+    return aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period)
+
+
+@njit
+def aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period):
+    """Steering command of any law with the network beside it, within the tires' reach.
+
+    Args:
+        params: SteeringParams (learning, guards and limits are used).
+        network: EmranMemory with 4 inputs, changed in place.
+        vehicle: VehicleParams the law believes in.
+        memory: SteeringMemory of the last call.
+        state: VehicleState (speeds, yaw rate and steering angle are used).
+        cross_track: error [m] at the point that is to follow the path, `reference_ahead` of the center of gravity.
+        heading_error: path minus vehicle [rad].
+        law: road-wheel angle [rad] the law alone asks for.
+        period: control period [s].
+
+    Returns:
+        (SteeringCommand, SteeringMemory)
+    """
     emran = params.emran
     a = params.reference_ahead
-    cross_track = cross_track_error + a * math.sin(heading_error)
-    law = _law(params, vehicle, state, path, point, cross_track, heading_error)
     v = state.speed_long
     safe = max(v, 0.1)
     course = math.atan2(state.speed_lat + a * state.yaw_rate, safe)
