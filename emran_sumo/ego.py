@@ -9,7 +9,7 @@ from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
-from emran_sumo.path import Path, interpolate, nearest, path_length, project
+from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
@@ -93,7 +93,7 @@ class Ego:
         pose = handed.pose
         self.base = self.path = self.driven = handed.path
         self._origin = 0.0
-        guess = _first_guess(handed.path, pose)
+        guess = first_near(handed.path, pose.x, pose.y, pose.yaw)
         # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
         cap = float(interpolate(_caps(handed.path, scenario), handed.path, guess))
         if pose.speed > TOO_FAST * cap:
@@ -159,7 +159,7 @@ class Ego:
         lateral = self.scenario.lateral
         speed = float(max(car.speed_long, 1.0))
         self.driven = conditioned(path, lateral, self.vehicle, speed) if lateral.conditioning else path
-        guess = _first_guess(self.driven, Pose(car.x, car.y, car.yaw, 0.0, 0.0))
+        guess = first_near(self.driven, car.x, car.y, car.yaw)
         position = nearest(self.driven, car.x, car.y, guess).position
         self._origin += before - position
         self.state = self.state._replace(position=position)
@@ -378,11 +378,6 @@ def _caps(path: Path, scenario: Scenario) -> np.ndarray:
     """Speeds (n,) [m/s] that the bends of a path allow."""
     road = scenario.road
     return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
-
-
-def _first_guess(path: Path, pose: Pose) -> float:
-    """Position of the grid point nearest to a pose."""
-    return float(np.argmin((path.x - pose.x) ** 2 + (path.y - pose.y) ** 2)) * path.spacing
 
 
 def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:
