@@ -11,9 +11,11 @@ FLOORS = (
     "plant path",
     "control",
     "loop conditioning",
-    "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found",
-    "ego planner selection opening warm manifest stop results drive bench report tuning search checkpoint tune paper",
-    "study compare export",
+    "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found "
+    "faults own_controller",
+    "user_code ego takeover planner selection opening warm manifest stop results drive bench report tuning search "
+    "checkpoint tune paper",
+    "study compare export python",
     "terminal cli_study cli_vehicle cli_files cli",
 )
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms.split()}
