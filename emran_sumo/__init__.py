@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from emran_sumo.drive import run
-    from emran_sumo.own_controller import BuiltIn, Command, Observation
+    from emran_sumo.observation import BuiltIn, Command, Observation
     from emran_sumo.python import load
 
 try:
@@ -25,4 +25,4 @@ def __getattr__(name: str) -> Any:
     """What is imported only when it is asked for: the command line answers before SUMO and the kernels are loaded."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_ROOMS.get(name, 'own_controller')}"), name)
+    return getattr(import_module(f"{__name__}.{_ROOMS.get(name, 'observation')}"), name)

@@ -2,159 +2,19 @@
 
 import math
 from numbers import Real
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo.control.cruise import HOLD_SPEED, CruiseCommand, CruiseMemory, Motion, cruise, missing_accel, observe
-from emran_sumo.control.steering import SteeringCommand, SteeringMemory, aided, track
+from emran_sumo.control.cruise import HOLD_SPEED, CruiseCommand, CruiseMemory, missing_accel, observe
+from emran_sumo.control.steering import SteeringCommand, SteeringMemory, aided
 from emran_sumo.faults import ControllerFault, defined_at, failed_at
 from emran_sumo.kernels import njit
-from emran_sumo.loop import RUNNING, ControlParams, LoopState, Networks, act, sense
-from emran_sumo.path import Path, Point, interpolate, point_at
+from emran_sumo.loop import RUNNING, LoopState, Networks, act, sense
+from emran_sumo.observation import BuiltInParts, Command, Observation
+from emran_sumo.path import Point, point_at
 from emran_sumo.plant.records import GRAVITY
-from emran_sumo.plant.vehicle import VehicleParams, VehicleState
-
-
-class BuiltInParts(NamedTuple):
-    """What the built-in laws need besides what they see: their parameters, networks, and memories at the take-over."""
-
-    control: ControlParams
-    networks: Networks
-    cruise: CruiseMemory
-    steering: SteeringMemory
-
-
-class Observation(NamedTuple):
-    """What a controller sees at the start of a control period.
-
-    time [s] since the take-over; period [s] until the next call; car: VehicleState, measured at the center of gravity;
-    cross_track_error [m], positive when the path lies to the left; heading_error [rad], path minus car; motion: Motion,
-    the longitudinal sensors; speed_reference [m/s] and accel_reference [m/s2] wanted now; path: Path to follow; point:
-    Point of it nearest to the car; vehicle: VehicleParams; built_in: BuiltInParts.
-    """
-
-    time: float
-    period: float
-    car: VehicleState
-    cross_track_error: float
-    heading_error: float
-    motion: Motion
-    speed_reference: float
-    accel_reference: float
-    path: Path
-    point: Point
-    vehicle: VehicleParams
-    built_in: BuiltInParts
-
-    @property
-    def x(self) -> float:
-        """East [m]."""
-        return self.car.x
-
-    @property
-    def y(self) -> float:
-        """North [m]."""
-        return self.car.y
-
-    @property
-    def yaw(self) -> float:
-        """Counter-clockwise from east [rad]."""
-        return self.car.yaw
-
-    @property
-    def speed(self) -> float:
-        """Along the body [m/s]."""
-        return self.car.speed_long
-
-    @property
-    def speed_lat(self) -> float:
-        """Across the body, left positive [m/s]."""
-        return self.car.speed_lat
-
-    @property
-    def yaw_rate(self) -> float:
-        """[rad/s]"""
-        return self.car.yaw_rate
-
-    @property
-    def steer(self) -> float:
-        """Road-wheel angle that the car has [rad]."""
-        return self.car.steer
-
-    @property
-    def position(self) -> float:
-        """Along the path [m]; jumps when the car is given another path, as for a lane change."""
-        return self.point.position
-
-    @property
-    def curvature(self) -> float:
-        """Of the path here [1/m], positive to the left."""
-        return self.point.curvature
-
-    @property
-    def grade(self) -> float:
-        """Of the road here, as the map has it [rad], positive uphill."""
-        return float(interpolate(self.path.grade, self.path, self.point.position))
-
-    def preview(self, distance: float) -> Point:
-        """Point of the path `distance` [m] ahead of the nearest one; held at the end of the path."""
-        return point_at(self.path, self.point.position + distance)
-
-
-class Command(NamedTuple):
-    """What a controller asks for until its next call.
-
-    steer: road-wheel angle [rad], left positive; accel [m/s2] that the torque of the wheels alone would give: drag,
-    rolling and grade come off it. A law that knows the parts of a command gives them for the trace; no network of the
-    door is then added to that half.
-    """
-
-    steer: float
-    accel: float
-    steer_parts: SteeringCommand | None = None
-    accel_parts: CruiseCommand | None = None
-
-
-class Controller(Protocol):
-    """A controller of one ego."""
-
-    def reset(self) -> None:
-        """The ego is taken over: forget everything."""
-
-    def step(self, observation: Observation, /) -> Command | tuple[float, float]:
-        """Command for the period that begins now."""
-        ...
-
-
-class BuiltIn:
-    """The built-in coupled scheme as a controller of its own; take `steering` or `cruise` to write the other half."""
-
-    def reset(self) -> None:
-        """Begin anew with the memories of the next take-over."""
-        self._cruise: CruiseMemory | None = None
-        self._steering: SteeringMemory | None = None
-
-    def step(self, observation: Observation) -> Command:
-        """Both halves."""
-        push, turn = self.cruise(observation), self.steering(observation)
-        return Command(turn.angle, push.accel, turn, push)
-
-    def cruise(self, o: Observation) -> CruiseCommand:
-        """The longitudinal half, once per period."""
-        push, self._cruise = cruise(
-            o.built_in.control.longitudinal, o.built_in.networks.speed, o.vehicle, self._cruise or o.built_in.cruise,
-            o.motion, o.speed_reference, o.accel_reference, o.period,
-        )  # fmt: skip
-        return push
-
-    def steering(self, o: Observation) -> SteeringCommand:
-        """The lateral half, once per period."""
-        turn, self._steering = track(
-            o.built_in.control.lateral, o.built_in.networks.steering, o.vehicle, self._steering or o.built_in.steering,
-            o.car, o.path, o.point, o.cross_track_error, o.heading_error, o.period,
-        )  # fmt: skip
-        return turn
+from emran_sumo.plant.vehicle import VehicleState
 
 
 class OwnController:
@@ -187,45 +47,33 @@ class OwnController:
         self, vehicle, control, disturbance, friction, clock, references, state, speed_net, steering_net, trace
     ) -> tuple[LoopState, int, int]:
         """As `loop.closed_loop`, which decides by the built-in laws."""
-        car, periods, path, period = state.vehicle, references.accels.size, references.driven, clock.period
-        cruise_memory, steering_memory, pending = state.cruise, state.steering, state.pending.copy()
+        now = Moment(state.vehicle, point_at(references.driven, state.position), state.cruise, state.steering)
+        path, period, pending = references.driven, clock.period, state.pending.copy()
         speeds, accels = references.speeds.tolist(), references.accels.tolist()
-        nets = Networks(speed_net, steering_net)
-        point, status, k = point_at(path, state.position), RUNNING, 0
-        for k in range(periods):
-            time = (clock.tick + k) * period
-            seen = sense(
-                vehicle, control.sensors, disturbance, friction, path, references.origin, references.noise[k],
-                time, car, point,
-            )  # fmt: skip
+        nets, status, k = Networks(speed_net, steering_net), RUNNING, 0
+        seen = sense(
+            vehicle, control.sensors, disturbance, friction, path, references.origin, references.noise[0],
+            clock.tick * period, now.car, now.point,
+        )  # fmt: skip
+        for k in range(len(accels)):
             asked = self._ask(
                 Observation(
-                    time, period, seen.car, seen.cross_track_error, seen.heading_error, seen.motion,
-                    speeds[k], accels[k], path, point, vehicle,
-                    BuiltInParts(control, nets, cruise_memory, steering_memory),
+                    (clock.tick + k) * period, period, seen.car, seen.cross_track_error, seen.heading_error,
+                    seen.motion, speeds[k], accels[k], path, now.point, vehicle,
+                    BuiltInParts(control, nets, now.cruise, now.steering),
                 ),
-                car.torque / (vehicle.mass * vehicle.wheel_radius),
+                now.car.torque / (vehicle.mass * vehicle.wheel_radius),
             )  # fmt: skip
-            if asked.accel_parts is None:
-                push, cruise_memory = aided_cruise(
-                    control.longitudinal, speed_net, vehicle, cruise_memory, seen.motion, speeds[k], accels[k],
-                    asked.accel, period,
-                )  # fmt: skip
-            else:
-                push = asked.accel_parts
-            if asked.steer_parts is None:
-                turn, steering_memory = aided_steering(
-                    control.lateral, steering_net, vehicle, steering_memory, seen, asked.steer, period
-                )
-            else:
-                turn = asked.steer_parts
-            car, point, status = act(
-                vehicle, disturbance, friction, clock, references, k, pending, car, point, turn, push,
+            turn, push = asked.steer_parts, asked.accel_parts
+            now, seen, status = one_period(
+                vehicle, control, disturbance, friction, clock, references, k, pending, now, seen,
+                turn or SteeringCommand(asked.steer, asked.steer, 0.0, 0.0, False), turn is None,
+                push or CruiseCommand(asked.accel, asked.accel, 0.0, 0.0, False), push is None,
                 speed_net, steering_net, trace[k],
             )  # fmt: skip
             if status != RUNNING:
                 break
-        return LoopState(car, cruise_memory, steering_memory, point.position, pending), status, k + 1
+        return LoopState(now.car, now.cruise, now.steering, now.point.position, pending), status, k + 1
 
     def _ask(self, observation: Observation, accel: float) -> Command:
         """The command, or what the car does already once the controller has failed."""
@@ -242,6 +90,53 @@ class OwnController:
     def _failed(self, said: str, time: float, error: Exception | None) -> None:
         self.fault = ControllerFault(f"controller {self.name}: {said}, after {time:.2f} s.")
         self.fault.__cause__ = error
+
+
+class Moment(NamedTuple):
+    """The car at the start of a period, the Point nearest to it, and what the aid of the door remembers."""
+
+    car: VehicleState
+    point: Point
+    cruise: CruiseMemory
+    steering: SteeringMemory
+
+
+@njit
+def one_period(
+    vehicle, control, disturbance, friction, clock, references, k, pending, now, seen, turn, aid_turn, push, aid_push,
+    speed_net, steering_net, row,
+):  # fmt: skip
+    """Aid the halves that want it, let the car answer, and look again: one call from Python, whose arguments cost most.
+
+    Args:
+        now: Moment; seen: Seen of it.
+        turn: SteeringCommand; aid_turn: whether its angle is a law's, to which the network is added.
+        push: CruiseCommand; aid_push: the same of its acceleration.
+        others: as for `loop.act`.
+
+    Returns:
+        (Moment, Seen, status); Seen is old after the last period.
+    """
+    cruise_memory, steering_memory = now.cruise, now.steering
+    if aid_push:
+        push, cruise_memory = aided_cruise(
+            control.longitudinal, speed_net, vehicle, cruise_memory, seen.motion,
+            references.speeds[k], references.accels[k], push.accel, clock.period,
+        )  # fmt: skip
+    if aid_turn:
+        turn, steering_memory = aided_steering(
+            control.lateral, steering_net, vehicle, steering_memory, seen, turn.angle, clock.period
+        )
+    car, point, status = act(
+        vehicle, disturbance, friction, clock, references, k, pending, now.car, now.point, turn, push,
+        speed_net, steering_net, row,
+    )  # fmt: skip
+    if k + 1 < references.accels.size:
+        seen = sense(
+            vehicle, control.sensors, disturbance, friction, references.driven, references.origin,
+            references.noise[k + 1], (clock.tick + k + 1) * clock.period, car, point,
+        )  # fmt: skip
+    return Moment(car, point, cruise_memory, steering_memory), seen, status
 
 
 class _Unusable(Exception):
@@ -278,7 +173,7 @@ def _parts(name: str, parts: Any, kind: Any, total: float) -> Any:
 
 
 def _number(name: str, value: Any, unit: str) -> float:
-    scalar = isinstance(value, Real) or getattr(value, "ndim", None) == 0
+    scalar = isinstance(value, float | Real) or getattr(value, "ndim", None) == 0
     if scalar and math.isfinite(value):
         return float(value)
     raise _Unusable(f"step returned {_shown(value)} for {name}; accepted is a finite number [{unit}]")

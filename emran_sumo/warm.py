@@ -7,7 +7,8 @@ import numpy as np
 from emran_sumo import kernels
 from emran_sumo.controllers import is_own
 from emran_sumo.loop import blank_networks, closed_loop, new_trace, quiet_references, start
-from emran_sumo.own_controller import Command, Observation, OwnController
+from emran_sumo.observation import Command, Observation
+from emran_sumo.own_controller import OwnController
 from emran_sumo.path import Path as Track
 from emran_sumo.path import interpolate, nearest, point_at, project
 from emran_sumo.plant.vehicle import rolling_start
@@ -30,7 +31,7 @@ class _Still:
 
 def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> None:
     """Compile or load every kernel of a run by driving a tenth of a second on a straight line."""
-    if not kernels.compiled_before():
+    if not warm(scenario):
         progress("compile", 0.0, 0.0)
     n = 400
     line = np.arange(n) * 0.25
@@ -52,4 +53,14 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     project(track, np.ones(1), np.ones(1), 5.0, 10.0)
     nearest(track, 1.0, 1.0, point_at(track, 5.0).position)
     interpolate(track.x, track, 5.0)
-    kernels.mark_compiled()
+    for kind in _kinds(scenario):
+        kernels.mark_compiled(kind)
+
+
+def warm(scenario: Scenario) -> bool:
+    """Whether every kernel of a run lies in the cache."""
+    return all(map(kernels.compiled_before, _kinds(scenario)))
+
+
+def _kinds(scenario: Scenario) -> tuple[str, ...]:
+    return (kernels.ALL, kernels.OWN) if is_own(scenario.controller) else (kernels.ALL,)

@@ -12,7 +12,7 @@ FLOORS = (
     "control",
     "loop conditioning",
     "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found "
-    "faults own_controller",
+    "faults observation own_controller",
     "user_code ego takeover planner selection opening warm manifest stop results drive bench report tuning search "
     "checkpoint tune paper",
     "study compare export python",
