@@ -83,11 +83,11 @@ class OwnController:
             except _Unusable as error:
                 where, said = defined_at(self.controller.step), str(error)
                 self._failed(f"{where}{said}", observation.time, None)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 self._failed(failed_at(error), observation.time, error)
         return Command(observation.steer, accel)
 
-    def _failed(self, said: str, time: float, error: Exception | None) -> None:
+    def _failed(self, said: str, time: float, error: BaseException | None) -> None:
         self.fault = ControllerFault(f"controller {self.name}: {said}, after {time:.2f} s.")
         self.fault.__cause__ = error
 

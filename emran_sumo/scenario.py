@@ -192,7 +192,8 @@ def checked(given: dict[str, Any], origin: dict[str, str], file: str) -> Scenari
     controller = given.get("controller", DEFAULT)
     if not isinstance(controller, str) or not (controller in CONTROLLERS or is_own(controller)):
         hint = nearest_name(str(controller), list(CONTROLLERS))
-        raise UserError(f"{origin['controller']}: controller: found {_shown(controller)}. {hint}")
+        own = " Accepted is one of these, or your own: module:factory." if str(controller).endswith(".py") else ""
+        raise UserError(f"{origin['controller']}: controller: found {_shown(controller)}. {hint}{own}")
     known = dict.fromkeys(_leaves(Scenario))
     for key in given:
         if key not in known:
