@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -146,10 +147,11 @@ def test_the_command_is_what_acts_and_its_limits_are_those_of_the_car(tmp_path):
 
 # aided
 
+PUSHED = {"disturbance.lateral_force": 1000.0, "disturbance.wind": 10.0}
+
 
 def test_an_aided_law_learns_and_follows_better_under_a_force_from_the_side(tmp_path):
-    given = {"duration": 12.0, "track.shape": "straight", "track.speed": 15.0, "disturbance.lateral_force": 1000.0,
-             "disturbance.wind": 10.0}  # fmt: skip
+    given = {"duration": 12.0, "track.shape": "straight", "track.speed": 15.0, **PUSHED}
     alone, aided = (
         run(load("track_dlc", controller=Straight, **given, **keys), tmp_path, record=False)
         for keys in ({}, {"lateral.emran.authority": 1.0, "longitudinal.emran.authority": 1.0})
@@ -177,7 +179,7 @@ def test_a_half_that_gives_its_parts_is_not_aided_a_second_time(tmp_path):
             turn = self.rest.steering(seen)
             return Command(turn.angle, 2.0 * (seen.speed_reference - seen.speed), turn)
 
-    keys = {"lateral.emran.authority": 1.0, "longitudinal.emran.authority": 1.0, "disturbance.wind": 10.0}
+    keys = {"lateral.emran.authority": 1.0, "longitudinal.emran.authority": 1.0, **PUSHED}
     signals = run(load("track_dlc", controller=Half, duration=4.0, **keys), tmp_path, record=False).signals
     assert signals["learned_speed"][-1] > 0
     assert signals["learned_steering"][-1] > 0
@@ -190,7 +192,7 @@ def test_a_half_that_gives_its_parts_is_not_aided_a_second_time(tmp_path):
 # faults
 
 FAULTS = {
-    "exception": (law("        return 0.0, 1 / (self.count - 50)\n"), "mine.py, line 7: ZeroDivisionError: .*, after 0.49"),
+    "exception": (law("        return 0.0, 1 / (self.count - 50)\n"), "mine.py, line 7: ZeroDivisionError: .* 0.49"),
     "exception in a helper": (
         law("        return helper(self.count)\n", head="def helper(n):\n    return {}[n]\n\n\n"),
         "mine.py, line 2: KeyError: 1, after 0.00 s",
@@ -390,6 +392,12 @@ def test_the_other_pieces_of_the_page_run_as_they_stand(here, capsys):
     assert str(names["result"].recording) in capsys.readouterr().out
     half = run(load("track_dlc", controller=names["MySteering"], duration=3.0), here / "half", record=False)
     assert half.ended == "finished"
+
+
+def test_the_package_is_imported_in_a_moment_and_its_names_when_they_are_asked_for():
+    heavy = "{'numba', 'libsumo', 'rerun', 'numpy', 'pydantic'}"
+    ask = f"import sys, emran_sumo; found = {heavy} & set(sys.modules); assert not found, found; emran_sumo.Command"
+    assert subprocess.run([sys.executable, "-c", ask], capture_output=True, timeout=120).returncode == 0
 
 
 def test_the_names_of_the_package_are_what_they_say():
