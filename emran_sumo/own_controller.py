@@ -20,7 +20,7 @@ from emran_sumo.plant.vehicle import VehicleState
 class OwnController:
     """A user's controller in the place of the laws of one ego.
 
-    A fault of it does not raise in the middle of a step of the world: `fault` is set and the car keeps its steering and torque.
+    A fault does not raise in the middle of a step of the world: `fault` is set, the car keeps its steering and torque.
 
     Args:
         controller: object with reset() and step(observation).
