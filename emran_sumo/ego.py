@@ -9,6 +9,7 @@ from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
+from emran_sumo.own_controller import OwnController
 from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
@@ -82,12 +83,15 @@ class Ego:
         handed: TakeOver.
         time: of the simulation at take-over [s].
         index: number of this ego in the run; egos draw different noise.
+        own: the user's own controller; None for the built-in laws.
     """
 
     def __init__(
-        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0
-    ) -> None:
-        self.name, self.scenario, self.vehicle = name, scenario, vehicle
+        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0,
+        own: OwnController | None = None,
+    ) -> None:  # fmt: skip
+        self.name, self.scenario, self.vehicle, self.own = name, scenario, vehicle, own
+        self._drive = closed_loop if own is None else own.closed_loop
         self.lane_width = handed.lane_width
         self.began_at = time
         pose = handed.pose
@@ -176,7 +180,7 @@ class Ego:
         rows = new_trace(self._periods)
         before = self.state.vehicle.speed_long
         s = self.scenario
-        self.state, self.status, count = closed_loop(
+        self.state, self.status, count = self._drive(
             self.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
