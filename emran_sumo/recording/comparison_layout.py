@@ -104,7 +104,6 @@ def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) ->
         name=plot.title,
         contents=list(overrides),
         axis_x=axis,
-        defaults=[rr.SeriesLines.from_fields(widths=1.8)],
         plot_legend=rrb.PlotLegend(corner),
         overrides=overrides,
     )

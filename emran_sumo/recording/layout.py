@@ -35,7 +35,6 @@ TABS = {
     ),
     "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",)),
 }
-FIRST_TABS = ("Overview",)
 
 
 class Extents:
@@ -70,16 +69,13 @@ class Extents:
         return ticked(float(low), float(high), 6 if len(plot.curves) > 3 else 5)
 
 
-def layout(bounds: tuple[float, float, float, float], extents: Extents | None = None) -> rrb.Blueprint:
+def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.Blueprint:
     """The layout that follows the ego.
 
     Args:
         bounds: (x_min, y_min, x_max, y_max) [m] of the road, for the map.
-        extents: of what was driven; None while the run goes on: then only the tabs of FIRST_TABS, as every view takes
-            its place in the file.
+        extents: of what has been driven; before anything has, the viewer finds the ranges itself.
     """
-    tabs = TABS if extents is not None else {name: TABS[name] for name in FIRST_TABS}
-    extents = extents or Extents()
     left = rrb.Vertical(
         _top_down(),
         rrb.Horizontal(
@@ -92,7 +88,7 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents | None = 
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.Tabs(*(_tab(name, entities, extents) for name, entities in tabs.items()), active_tab=0),
+        rrb.Tabs(*(_tab(name, entities, extents) for name, entities in TABS.items()), active_tab=0),
         row_shares=[1, 4.3],
     )
     return rrb.Blueprint(
@@ -145,7 +141,7 @@ def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> r
         name=plot.title,
         axis_x=axis,
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
-        plot_legend=rrb.PlotLegend(corner, visible=len(plot.curves) > 1),
+        plot_legend=rrb.PlotLegend(corner) if len(plot.curves) > 1 else rrb.PlotLegend(visible=False),
         overrides={plot.entity: [line(curve, plot.steps) for curve in plot.curves]},
     )
 
@@ -177,7 +173,6 @@ def _space(network: str, extents: Extents) -> rrb.Spatial3DView:
 def line(curve: Curve, steps: bool) -> rrb.Visualizer:
     style = rr.SeriesLines(
         names=curve.label,
-        widths=2.0,
         colors=packed([curve.color]),
         interpolation_mode="StepAfter" if steps else None,
     )

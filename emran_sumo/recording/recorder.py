@@ -1,6 +1,6 @@
 """One run as one Rerun file: the road, the traffic, the ego, its plots, events and states, on one timeline.
 
-Rows are gathered and sent as columns every 4 s of simulated time: memory stays flat, a killed run loses
+Rows are gathered and sent as columns every 8 s of simulated time: memory stays flat, a killed run loses
 at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
@@ -11,21 +11,22 @@ from typing import Self
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
+from emran_sumo.recording.arrangement import Arrangement
 from emran_sumo.recording.car import EgoShape, draw_ego
 from emran_sumo.recording.colors import TEAL, packed, speed_colors
 from emran_sumo.recording.insight import AT_ONCE, COLORS, Insight, send_insights, style_insights
 from emran_sumo.recording.layout import Extents, layout
 from emran_sumo.recording.motion import EgoMotion
-from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
+from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, LINE_WIDTH, STATES
 from emran_sumo.recording.road import draw_road, road_shapes
 from emran_sumo.recording.stream import Stream, series, turns
 from emran_sumo.recording.surroundings import Patch, draw_patch, draw_stop_lines, send_signals
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
-CHUNK = 4000  # ms of simulated time per chunk
+CHUNK = 8000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
+LIVE_CHUNK = 1000  # ms, where somebody watches
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
@@ -81,14 +82,15 @@ class Recorder:
         self._chunk: int | None = None
         self._described: set[str] = set()
         self._last_state: dict[str, str] = {}
-        self._extents = Extents(len(CURVES))
+        self._extents = Extents()
         self._insights: dict[str, list[tuple[int, Insight]]] = {}
         self._forget()
 
         shapes = road_shapes(road)
         self._bounds = shapes.bounds
         self._stream = Stream(file, application, recording, live)
-        self._show(layout(self._bounds, Extents(len(CURVES)) if live else None))
+        self._arrangement = Arrangement(self._stream.raw, application)
+        self._arrangement.send(layout(self._bounds, self._extents))
         self._stream.raw.send_recording_name(name)
         self._stream.static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         draw_road(self._stream.raw, shapes)
@@ -98,6 +100,7 @@ class Recorder:
         draw_ego(self._stream.raw, ego)
         self._motion = EgoMotion(self._stream, ego, self._index)
         style_insights(self._stream)
+        self._stream.static("/plots/ego", rr.SeriesLines.from_fields(widths=LINE_WIDTH))
         self._stream.static("/world/traffic", rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
         self._stream.static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=packed([TEAL])))
         for lane in ("maneuver", "learning"):
@@ -135,11 +138,10 @@ class Recorder:
         if now % REFERENCE_PERIOD == 0:
             ahead = reference if len(reference) else rows[-1:, self._place]
             self._references.append((now, _thinned(ahead)))
-        if self._chunk is None:
-            self._chunk = now // CHUNK
-        if now // CHUNK > self._chunk:
+        period = LIVE_CHUNK if self._live else CHUNK
+        if self._chunk is not None and now // period > self._chunk:
             self._flush()
-            self._chunk = now // CHUNK
+        self._chunk = now // period
 
     def event(self, time: float, level: str, text: str) -> None:
         """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
@@ -174,11 +176,8 @@ class Recorder:
             if properties:
                 self._stream.raw.send_property("run", rr.AnyValues(**properties))  # pyright: ignore[reportArgumentType]
             if not self._live:  # whoever watches has arranged the views by now
-                self._show(layout(self._bounds, self._extents))
+                self._arrangement.send(layout(self._bounds, self._extents))
             self._stream.close()
-
-    def _show(self, blueprint: rrb.Blueprint) -> None:
-        self._stream.raw.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _index(self, column: str) -> int:
         if column not in self._column:

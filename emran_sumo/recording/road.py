@@ -94,6 +94,8 @@ def draw_road(stream: rr.RecordingStream, shapes: RoadShapes) -> None:
         ("/world/map/road", [_raised(line, 0.0) for line in shapes.centers], gray, rr.Radius.ui_points(1.2)),
     ):
         if lines:
+            if len({len(line) for line in lines}) == 1:
+                lines = np.stack(lines)  # as one array, Rerun takes thousands of dashes at once
             stream.log(entity, rr.LineStrips3D(lines, radii=radius, colors=[color]), static=True)
 
 
