@@ -299,7 +299,7 @@ class Host:
         if lane:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY
-        before = ego.frames[-1][-1] if ego.frames else None
+        before = ego.frames.last[-1] if len(ego.frames.last) else None
         others = ego.observe(traffic, error if lane else math.nan, rows)
         outcome = self._outcome(ego, error, lane)
         if outcome is None and lane:
@@ -307,7 +307,7 @@ class Host:
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
+            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead())
             _tell(self.recorder, ego, before, self._signals)
         if outcome is not None:
             self.outcomes[name] = outcome
@@ -318,7 +318,7 @@ class Host:
         """Why an ego ends after this step, or None."""
         car, after = ego.state.vehicle, f"after {ego.time:.1f} s"
         if ego.status == DIVERGED:
-            row = ego.frames[-1][-1]
+            row = ego.frames.last[-1]
             return Outcome(
                 "diverged",
                 f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
@@ -350,10 +350,10 @@ class Host:
 
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
-    control, row = ego.scenario.control, ego.frames[-1][-1]
+    control, row = ego.scenario.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
-    recorder.state(ego.time, "learning", learning_state(ego.frames[-1], before, aided))
+    recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)

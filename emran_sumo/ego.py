@@ -8,6 +8,7 @@ import numpy as np
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
+from emran_sumo.frames import Frames
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
 from emran_sumo.path import Path, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
@@ -108,7 +109,7 @@ class Ego:
         self.maneuver = "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
-        self.frames: list[np.ndarray] = []
+        self.frames = Frames(len(COLUMNS))
         self.collided: set[str] = set()
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
@@ -252,7 +253,7 @@ class Ego:
 
     def trace(self) -> np.ndarray:
         """All rows so far (n, len(COLUMNS))."""
-        return np.concatenate(self.frames) if self.frames else np.zeros((0, len(COLUMNS)))
+        return self.frames.all()
 
     def too_tight(self) -> str:
         """Words for a lost car: what of its way no car can drive, as where SUMO turns back within its lane."""
@@ -351,7 +352,7 @@ class Ego:
         self.events.append(Event(self.time, level, text))
 
     def _note_networks(self, rows: np.ndarray) -> None:
-        last = self.frames[-1][-1] if self.frames else np.zeros(WIDTH)
+        last = self.frames.last[-1] if len(self.frames.last) else np.zeros(WIDTH)
         if not rows.size or np.array_equal(rows[-1, NETWORK_COUNTS], last[NETWORK_COUNTS]):
             return
         for row in rows:

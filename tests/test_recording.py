@@ -552,6 +552,47 @@ def test_an_unknown_event_level_is_named(tmp_path):
         recorder.event(0.0, "LOUD", "?")
 
 
+def arranged(file: Path) -> tuple[list[str], dict[str, list]]:
+    """Names of all views and tabs of the one layout of a file, and its vertical axes by view in the order sent."""
+    (layout,) = RrdReader(str(file)).blueprints()
+    names, axes = [], {}
+    for chunk in RrdReader(str(file)).stream(store=layout):
+        batch = chunk.to_record_batch()
+        for component in ("ViewBlueprint:display_name", "ContainerBlueprint:display_name"):
+            if component in batch.schema.names:
+                names += [name for (name,) in batch.column(component).to_pylist()]
+        if "ScalarAxis:range" in batch.schema.names:
+            axes.setdefault(str(chunk.entity_path), []).extend(batch.column("ScalarAxis:range").to_pylist())
+    return names, axes
+
+
+TITLES = {plot.title for plot in (*plots.PLOTS.values(), *plots.INSIGHTS.values())}
+
+
+def test_a_finished_file_has_one_layout_whose_axes_were_set_when_the_run_ended(recorded):
+    names, axes = arranged(recorded)
+    assert {*TABS, "Chase camera", "Map", "Events", "Summary"} <= set(names)
+    views = [view for rows in TABS.values() for row in rows for view in row]
+    assert sorted(n for n in names if n in TITLES) == sorted(
+        (plots.PLOTS | plots.INSIGHTS)[view].title for view in views if view in plots.PLOTS | plots.INSIGHTS
+    ), "each view is sent once"
+    assert sum(name.endswith("lies to the left") for name in names) == 2
+    assert len(axes) > 25, "the plots of the trace have ranges now"
+    assert {len(ranges) for ranges in axes.values()} == {1, 2}, "those that the drive has widened are sent again"
+
+
+def test_two_equal_drives_have_equal_layouts(tmp_path):
+    found = []
+    for name in ("a.rrd", "b.rrd"):
+        with open_recorder(tmp_path / name) as recorder:
+            drive(recorder, ego_trace(1.0), 3)
+        reader = RrdReader(str(tmp_path / name))
+        (layout,) = reader.blueprints()
+        columns = [chunk.to_record_batch().to_pydict() for chunk in reader.stream(store=layout)]
+        found.append([{key: value for key, value in row.items() if "RowId" not in key} for row in columns])
+    assert found[0] == found[1]
+
+
 def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     script = (
         "import signal, sys, time\n"
@@ -585,6 +626,9 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
         summary = static_text(files[signal.SIGKILL])
     assert killed[-1] == 8_000_000_000, "only what was held since the last chunk may be lost"
     assert "not finished" in summary[-1]
+    with pytest.warns(RerunWarning, match="no footer"):
+        names, _ = arranged(files[signal.SIGKILL])
+    assert set(TABS) | TITLES <= set(names), "all tabs and plots, as of a run that ended"
 
     assert rerun("verify", files[signal.SIGTERM]) == 0
     terminated, _ = rows_of(files[signal.SIGTERM], "/plots/ego", "trace:speed_long")
@@ -596,7 +640,7 @@ def test_a_simulated_minute_among_100_vehicles_stays_below_3_megabytes(recorded,
     with open_recorder(tmp_path / "empty.rrd"):
         pass
     start = (tmp_path / "empty.rrd").stat().st_size
-    assert start < 2e6, "road and layouts, once per file"
+    assert start < 1.2e6, "road and layout, once per file"
     assert 3 * (recorded.stat().st_size - start) < 3e6
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable
+from datetime import timedelta
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,14 +20,19 @@ class Stream:
     def __init__(self, file: Path | str, application: str, recording: str, live: str = "") -> None:
         Path(file).parent.mkdir(parents=True, exist_ok=True)
         # No wall-clock time anywhere: it would make equal runs differ.
-        self.raw = rr.RecordingStream(application, recording_id=recording, send_properties=False)
+        # Nor may the wall's clock decide what is sent together: what is logged waits for a flush.
+        waiting = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+        self.raw = rr.RecordingStream(
+            application, recording_id=recording, send_properties=False, batcher_config=waiting
+        )
         self.raw.set_sinks(*[rr.FileSink(str(file))] + ([rr.GrpcSink(live)] if live else []))
         self._live = bool(live)
         self.raw.set_log_time_enabled(False)
 
     def static(self, entity: str, *shapes: rr.AsComponents) -> None:
         """Log what holds at all times."""
-        self.raw.log(entity, *shapes, static=True)
+        batches = [batch for shape in shapes for batch in shape.as_component_batches()]
+        self.raw.send_columns(entity, [], [batch.partition([len(batch.as_arrow_array())]) for batch in batches])
 
     def send(self, entity: str, milliseconds: np.ndarray, columns: Iterable[rr.ComponentColumn]) -> None:
         """Log columns, one row per time; none for no times."""
