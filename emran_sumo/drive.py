@@ -307,7 +307,7 @@ class Host:
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead())
+            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead(), self.active)
             _tell(self.recorder, ego, before, self._signals)
         if outcome is not None:
             self.outcomes[name] = outcome
@@ -357,6 +357,9 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Sign
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)
+    if ego.base is not recorder.patched:  # its first lane, or another one
+        recorder.patched = ego.base
+        recorder.patch(ego.time, patch_on(ego.scenario.disturbance, ego.base, ego.lane_width, ego.offset))
     for name, seen in insights(control, ego.networks, row):
         recorder.network(ego.time, name, seen)
     lights = signals.changed() if signals is not None else None
@@ -381,11 +384,10 @@ def _open_recorder(
     if isinstance(world, SumoWorld) and signals is not None:
         road = road._replace(stop_lines=stop_lines(world.map, signals))
     limits = Limits(v.steer_limit, v.steer_rate, s.longitudinal.accel_max, s.longitudinal.decel_max)
-    patch = patch_on(s.disturbance, ego.path, ego.lane_width, ego.route_offset)
     try:
         return Recorder(
             file, recording=identity, name=name, road=road, ego=_shape(ego), columns=COLUMNS,
-            limits=limits, patch=patch, live=live,
+            limits=limits, live=live,
         )  # fmt: skip
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None

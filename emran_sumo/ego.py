@@ -139,7 +139,12 @@ class Ego:
     @property
     def position(self) -> float:
         """Distance along the route of the vehicle, junctions not counted [m]."""
-        return self.state.position + self._origin + self.route_offset
+        return self.state.position + self.offset
+
+    @property
+    def offset(self) -> float:
+        """Position along the route where the path that it follows begins [m]."""
+        return self._origin + self.route_offset
 
     @property
     def speed(self) -> float:
@@ -212,7 +217,7 @@ class Ego:
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
-        return References(self.path, self.driven, speeds, accels, noise, self._origin + self.route_offset)
+        return References(self.path, self.driven, speeds, accels, noise, self.offset)
 
     def _softened(self, end: float, step: float) -> float:
         """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""

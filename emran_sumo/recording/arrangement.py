@@ -6,7 +6,7 @@ layouts.
 """
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import rerun as rr
@@ -18,10 +18,10 @@ _FIRST_ID = 1 << 64
 
 
 class Arrangement:
-    """The layout of one recording; `stream` is Rerun's own."""
+    """The layout of one recording, which goes to all of the `streams` of Rerun's."""
 
-    def __init__(self, stream: rr.RecordingStream, application: str) -> None:
-        self._stream = stream
+    def __init__(self, streams: Sequence[rr.RecordingStream], application: str) -> None:
+        self._streams = streams
         self._blueprint = rr.RecordingStream._from_native(
             bindings.new_blueprint(application, make_default=False, make_thread_default=False)
         )
@@ -42,7 +42,8 @@ class Arrangement:
                 self._sent[path, static] = content
                 self._blueprint.log(path, *parts, static=static)
         self._times += 1
-        bindings.send_blueprint(memory.storage, True, True, recording=self._stream.to_native())
+        for stream in self._streams:
+            bindings.send_blueprint(memory.storage, True, True, recording=stream.to_native())
 
 
 class _Gathered:

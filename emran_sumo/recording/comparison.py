@@ -52,12 +52,13 @@ def write_comparison(
         summary: Markdown.
     """
     shown = tuple(Shown(run.label, f"{i}_{run.label}", COMPARED[i - 1]) for i, run in enumerate(runs, 1))
+    end = max(float(run.trace["time"][-1]) for run in runs)
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     stream = rr.RecordingStream(APPLICATION, recording_id=recording, send_properties=False)
     try:
         stream.save(str(part))
         stream.set_log_time_enabled(False)
-        Arrangement(stream, APPLICATION).send(comparison_layout(shown, _bounds(runs[0].recording)))
+        Arrangement((stream,), APPLICATION).send(comparison_layout(shown, _bounds(runs[0].recording), end))
         stream.send_recording_name(name)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.send_chunks(RrdReader(str(runs[0].recording)).stream().filter(content=TAKEN))

@@ -55,8 +55,10 @@ def curves(of: Shown) -> tuple[Curve, ...]:
     return tuple(Curve(plot.column, of.label, of.color, plot.unit) for plot in PLOTS.values())
 
 
-def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float, float, float]) -> rrb.Blueprint:
-    """The layout that follows the first of the controllers; bounds [m] of the road."""
+def comparison_layout(
+    controllers: tuple[Shown, ...], bounds: tuple[float, float, float, float], end: float
+) -> rrb.Blueprint:
+    """The layout that follows the first of the controllers; bounds [m] of the road, end [s] of the longest run."""
     first = controllers[0].label
     above = rrb.EyeControls3D(kind="Orbital", position=(12, 0, 42), look_target=(12.01, 0, 0), eye_up=(0, 1, 0))
     near = rrb.EyeControls3D(kind="Orbital", position=(1, 0, 11), look_target=(1.01, 0, 0), eye_up=(0, 1, 0))
@@ -76,7 +78,7 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
         rrb.StateTimelineView(origin="/state", name="Maneuvers", time_view=whole_run()),
         row_shares=[3.6, 4.2, 1.6],
     )
-    right = rrb.Tabs(*(_tab(name, plots, controllers) for name, plots in TABS.items()), active_tab=0)
+    right = rrb.Tabs(*(_tab(name, plots, controllers, end) for name, plots in TABS.items()), active_tab=0)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[1.15, 1]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
@@ -85,8 +87,8 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
     )
 
 
-def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...]) -> rrb.Vertical:
-    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
+def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...], end: float) -> rrb.Vertical:
+    axis = whole_run(end)
     return rrb.Vertical(*(_plot(PLOTS[plot], axis, controllers) for plot in plots), name=name)
 
 

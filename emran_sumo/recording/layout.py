@@ -11,6 +11,7 @@ from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve
 from emran_sumo.recording.stream import TIMELINE
 
 # Tab -> rows of plots; more than four rows do not fit a window of 1080 pixels.
+LEGEND_ROOM = 1.25  # times the run is what a plot of the whole run spans
 FORCES, SPACE_STEERING, SPACE_SPEED = "tire forces", "space steering", "space speed"  # views that are no plots
 TABS = {
     "Overview": (("speed",), ("cross_track_error",), ("steering",), ("neurons",)),
@@ -43,6 +44,7 @@ class Extents:
     def __init__(self, curves: int = len(CURVES)) -> None:
         self._low, self._high = np.full(curves, np.inf), np.full(curves, -np.inf)
         self.spaces: dict[str, tuple[np.ndarray, float]] = {}
+        self.end: float | None = None  # s, of the run, once it is known
 
     def include(self, values: np.ndarray) -> None:
         """Take in values (curves, n); NaN counts for nothing."""
@@ -84,12 +86,12 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.B
             column_shares=[1, 1.15],
         ),
         rrb.StateTimelineView(origin="/state", name="Maneuver, learning, disturbance", time_view=whole_run()),
-        row_shares=[5, 4, 2.3],
+        row_shares=[5, 4, 2.9],
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
         rrb.Tabs(*(_tab(name, entities, extents) for name, entities in TABS.items()), active_tab=0),
-        row_shares=[1, 4.3],
+        row_shares=[1.3, 4.3],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
@@ -105,15 +107,18 @@ def _events() -> rrb.TextLogView:
     )
 
 
-def whole_run() -> rrb.TimeAxis:
-    return rrb.TimeAxis(
-        view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+def whole_run(end: float | None = None) -> rrb.TimeAxis:
+    """All of the time; with the `end` [s] of the run, room behind it, so that the legend hides no curve."""
+    last = (
+        rrb.TimeRangeBoundary.infinite() if end is None else rrb.TimeRangeBoundary.absolute(seconds=LEGEND_ROOM * end)
     )
+    first = rrb.TimeRangeBoundary.infinite() if end is None else rrb.TimeRangeBoundary.absolute(seconds=0.0)
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
 
 
 def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.Vertical:
     """The overview spans the whole run; the plots of the other tabs zoom together."""
-    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
+    axis = whole_run(extents.end) if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
     parts, shares = [], []
     for row in rows:
         views = [_view(view, axis, extents) for view in row]
