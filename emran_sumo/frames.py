@@ -42,7 +42,7 @@ class Frames:
 
     def _put_away(self) -> None:
         if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115: it lives as long as this does
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 it lives as long as this does
             weakref.finalize(self, self._file.close)  # views keep what they show
         for rows in self._held:
             self._file.write(np.ascontiguousarray(rows, dtype=np.float64).data)

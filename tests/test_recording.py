@@ -438,7 +438,7 @@ def test_a_stretch_with_another_friction_is_a_surface_on_the_asphalt(recorded):
 
 
 def test_the_stretch_moves_to_another_lane_and_goes_where_none_is_in_sight(tmp_path):
-    beside = PATCH._replace(line=PATCH.line + (0.0, 3.5))
+    beside = PATCH._replace(line=np.add(PATCH.line, (0.0, 3.5)))
     with open_recorder(tmp_path / "a.rrd") as recorder:
         for time_, patch in ((0.05, None), (1.0, PATCH), (2.0, beside), (3.0, None)):
             recorder.patch(time_, patch)

@@ -1,7 +1,7 @@
 """Sending a layout: in full when a recording begins, and later only what has changed of it.
 
-Rerun's own sending makes a chunk of every property and dates each with the clock on the wall; chunks cost more than what
-is in them. Here what belongs together is one chunk, without a date: two fifths of the size, and equal runs have equal
+Rerun's own sending makes a chunk of every property and dates each with the clock on the wall; chunks cost more than
+what is in them. Here what belongs together is one chunk, without a date: a fifth smaller, and equal runs have equal
 layouts.
 """
 

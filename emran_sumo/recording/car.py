@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import rerun as rr
 
-from emran_sumo.recording.colors import GLASS, PAINT, PINK, RED, RUBBER, packed
+from emran_sumo.recording.colors import GLASS, LABEL, PAINT, PINK, RED, RUBBER, packed
 from emran_sumo.recording.stream import Stream
 
 
@@ -28,8 +28,9 @@ def draw_ego(stream: Stream, ego: EgoShape) -> None:
     for axle, x in (("front_wheels", ego.front_axle), ("rear_wheels", ego.front_axle - ego.wheelbase)):
         stream.static(f"/world/ego/{axle}", _wheels(x, ego.width / 2 - 0.1))
     stream.static("/world/ego/brake_lights", _brake_lights(ego, middle))
-    force = rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED]), show_labels=True)
-    stream.static("/world/ego/side_force", force)
+    stream.static("/world/ego/side_force", rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED])))
+    word = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), show_labels=True)
+    stream.static("/world/ego/side_force/label", word)
     marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=packed([PINK]))
     stream.static("/world/ego/marker", marker)
 

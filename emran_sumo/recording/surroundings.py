@@ -7,7 +7,7 @@ import rerun as rr
 
 from emran_sumo.path import Path
 from emran_sumo.plant.disturbance import DisturbanceParams
-from emran_sumo.recording.colors import PAINT, SIGNAL_COLORS, SLATE, SLIPPERY, packed
+from emran_sumo.recording.colors import LABEL, PAINT, SIGNAL_COLORS, SLIPPERY, packed
 from emran_sumo.recording.road import ASPHALT_LEVEL, LINE_LEVEL, offset, ribbon
 from emran_sumo.recording.stream import Stream
 from emran_sumo.world.records import StopLine
@@ -78,7 +78,7 @@ class PatchSender:
         if patch is not None:
             if self._drawn is None:
                 word = rr.Points3D.from_fields(
-                    radii=rr.Radius.ui_points(0.1), colors=packed([SLATE]), labels=f"friction × {patch.friction:g}",
+                    radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), labels=f"friction × {patch.friction:g}",
                     show_labels=True,
                 )  # fmt: skip
                 self._stream.static("/world/road/patch/label", word)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from emran_sumo.recording.colors import VIOLET, packed, speed_colors
+from emran_sumo.recording.colors import COMPANION, packed, speed_colors
 from emran_sumo.recording.stream import Stream, turns
 from emran_sumo.world.records import Traffic
 
@@ -37,7 +37,7 @@ class Vehicles:
         self._stream = stream
         self._company = False  # whether there ever was another ego
         stream.static(TRAFFIC, rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
-        stream.static(EGOS, rr.Boxes3D.from_fields(fill_mode="solid", colors=packed([VIOLET]), show_labels=True))
+        stream.static(EGOS, rr.Boxes3D.from_fields(fill_mode="solid", colors=packed([COMPANION]), show_labels=True))
 
     def send(self, times: np.ndarray, instants: Sequence[Seen]) -> None:
         """Send the instants at `times` (n,) [ms]."""
