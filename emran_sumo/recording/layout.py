@@ -125,7 +125,7 @@ def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.
         parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
         many = max((len(PLOTS[view].curves) for view in row if view in PLOTS), default=1)
         tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
-        shares.append(1.8 if tall else 1.3 if many > 3 else 1.0)  # room for the picture, for the legend
+        shares.append(1.8 if tall else 1.45 if many > 3 else 1.0)  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
@@ -139,7 +139,8 @@ def _view(name: str, axis: rrb.TimeAxis, extents: Extents) -> rrb.View:
 
 
 def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
-    corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop  # counts grow away from the left
+    sliding = axis.link is not None  # without room behind the end: counts grow away from the left
+    corner = rrb.Corner2D.LeftTop if plot.steps and sliding else rrb.Corner2D.RightTop
     # All curves of an ego are components of one entity: a fifth of the size of one entity per curve.
     return rrb.TimeSeriesView(
         origin=plot.entity,

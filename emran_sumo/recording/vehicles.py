@@ -43,20 +43,21 @@ class Vehicles:
         """Send the instants at `times` (n,) [ms]."""
         plain = [one.numbers[:, ~one.egos] for one in instants]
         *_, speed = np.concatenate(plain, axis=1)
-        columns = rr.Boxes3D.columns(**_boxes(plain), colors=speed_colors(speed))
+        centers, halves, turned = _boxes(plain)
+        columns = rr.Boxes3D.columns(centers=centers, half_sizes=halves, quaternions=turned, colors=speed_colors(speed))
         self._stream.send(TRAFFIC, times, columns.partition([part.shape[1] for part in plain]))
         if self._company or any(one.ids for one in instants):
             self._company = True
             egos = [one.numbers[:, one.egos] for one in instants]
-            columns = rr.Boxes3D.columns(**_boxes(egos), labels=[name for one in instants for name in one.ids])
+            centers, halves, turned = _boxes(egos)
+            names = [name for one in instants for name in one.ids]
+            columns = rr.Boxes3D.columns(centers=centers, half_sizes=halves, quaternions=turned, labels=names)
             self._stream.send(EGOS, times, columns.partition([len(one.ids) for one in instants]))
 
 
-def _boxes(instants: list[np.ndarray]) -> dict[str, np.ndarray]:
+def _boxes(instants: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (n, 3), half sizes (n, 3) and quaternions (n, 4) of all instants in a row."""
     x, y, yaw, length, width, height, _ = np.concatenate(instants, axis=1)
     centers = np.column_stack((np.rint(x * _GRID) / _GRID, np.rint(y * _GRID) / _GRID, height / 2))
-    return {
-        "centers": centers.astype(np.float32),
-        "half_sizes": (np.column_stack((length, width, height)) / 2).astype(np.float32),
-        "quaternions": np.rint(turns(yaw) * _TURN) / np.float32(_TURN),
-    }
+    halves = np.column_stack((length, width, height)) / 2
+    return centers.astype(np.float32), halves.astype(np.float32), np.rint(turns(yaw) * _TURN) / np.float32(_TURN)
