@@ -10,7 +10,8 @@ from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
 from emran_sumo.frames import Frames
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
-from emran_sumo.path import Path, interpolate, nearest, path_length, project
+from emran_sumo.own_controller import OwnController
+from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
@@ -83,18 +84,21 @@ class Ego:
         handed: TakeOver.
         time: of the simulation at take-over [s].
         index: number of this ego in the run; egos draw different noise.
+        own: the user's own controller; None for the built-in laws.
     """
 
     def __init__(
-        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0
-    ) -> None:
-        self.name, self.scenario, self.vehicle = name, scenario, vehicle
+        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0,
+        own: OwnController | None = None,
+    ) -> None:  # fmt: skip
+        self.name, self.scenario, self.vehicle, self.own = name, scenario, vehicle, own
+        self._drive = closed_loop if own is None else own.closed_loop
         self.lane_width = handed.lane_width
         self.began_at = time
         pose = handed.pose
         self.base = self.path = self.driven = handed.path
         self._origin = 0.0
-        guess = _first_guess(handed.path, pose)
+        guess = first_near(handed.path, pose.x, pose.y, pose.yaw)
         # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
         cap = float(interpolate(_caps(handed.path, scenario), handed.path, guess))
         if pose.speed > TOO_FAST * cap:
@@ -165,7 +169,7 @@ class Ego:
         lateral = self.scenario.lateral
         speed = float(max(car.speed_long, 1.0))
         self.driven = conditioned(path, lateral, self.vehicle, speed) if lateral.conditioning else path
-        guess = _first_guess(self.driven, Pose(car.x, car.y, car.yaw, 0.0, 0.0))
+        guess = first_near(self.driven, car.x, car.y, car.yaw)
         position = nearest(self.driven, car.x, car.y, guess).position
         self._origin += before - position
         self.state = self.state._replace(position=position)
@@ -182,7 +186,7 @@ class Ego:
         rows = new_trace(self._periods)
         before = self.state.vehicle.speed_long
         s = self.scenario
-        self.state, self.status, count = closed_loop(
+        self.state, self.status, count = self._drive(
             self.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
@@ -384,11 +388,6 @@ def _caps(path: Path, scenario: Scenario) -> np.ndarray:
     """Speeds (n,) [m/s] that the bends of a path allow."""
     road = scenario.road
     return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
-
-
-def _first_guess(path: Path, pose: Pose) -> float:
-    """Position of the grid point nearest to a pose."""
-    return float(np.argmin((path.x - pose.x) ** 2 + (path.y - pose.y) ** 2)) * path.spacing
 
 
 def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:

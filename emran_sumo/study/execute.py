@@ -216,11 +216,9 @@ def open_pool(settings: Settings, log: Path, first: Located, told: Callable[[], 
         from emran_sumo.study.cluster import ClusterPool
 
         return ClusterPool(settings.dask)
-    from emran_sumo import kernels
+    from emran_sumo import warm
 
-    if not kernels.compiled_before():
-        from emran_sumo import warm
-
+    if not warm.warm(first.values):
         told()
         warm.warm_kernels(first.values)
     return LocalPool(settings.processes(), log)
