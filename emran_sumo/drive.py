@@ -253,7 +253,7 @@ class Host:
         if lane:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY
-        before = ego.frames[-1][-1] if ego.frames else None
+        before = ego.frames.last[-1] if len(ego.frames.last) else None
         others = ego.observe(traffic, error if lane else math.nan, rows)
         outcome = self._outcome(ego, error, lane)
         if outcome is None and lane:
@@ -261,7 +261,7 @@ class Host:
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
+            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead(), self.active)
             _tell(self.recorder, ego, before, self._signals)
         if outcome is not None:
             self.outcomes[name] = outcome
@@ -275,7 +275,7 @@ class Host:
             self._failed(ego.own.fault)
             return Outcome("fault", str(ego.own.fault).rstrip("."))
         if ego.status == DIVERGED:
-            row = ego.frames[-1][-1]
+            row = ego.frames.last[-1]
             return Outcome(
                 "diverged",
                 f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
@@ -307,13 +307,16 @@ class Host:
 
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
-    control, row = ego.scenario.control, ego.frames[-1][-1]
+    control, row = ego.scenario.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
-    recorder.state(ego.time, "learning", learning_state(ego.frames[-1], before, aided))
+    recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)
+    if ego.base is not recorder.patched:  # its first lane, or another one
+        recorder.patched = ego.base
+        recorder.patch(ego.time, patch_on(ego.scenario.disturbance, ego.base, ego.lane_width, ego.offset))
     for name, seen in insights(control, ego.networks, row):
         recorder.network(ego.time, name, seen)
     lights = signals.changed() if signals is not None else None
@@ -338,11 +341,10 @@ def _open_recorder(
     if isinstance(world, SumoWorld) and signals is not None:
         road = road._replace(stop_lines=stop_lines(world.map, signals))
     limits = Limits(v.steer_limit, v.steer_rate, s.longitudinal.accel_max, s.longitudinal.decel_max)
-    patch = patch_on(s.disturbance, ego.path, ego.lane_width, ego.route_offset)
     try:
         return Recorder(
             file, recording=identity, name=name, road=road, ego=_shape(ego), columns=COLUMNS,
-            limits=limits, patch=patch, live=live,
+            limits=limits, live=live,
         )  # fmt: skip
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None

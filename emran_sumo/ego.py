@@ -8,6 +8,7 @@ import numpy as np
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
+from emran_sumo.frames import Frames
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
 from emran_sumo.own_controller import OwnController
 from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
@@ -112,7 +113,7 @@ class Ego:
         self.maneuver = "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
-        self.frames: list[np.ndarray] = []
+        self.frames = Frames(len(COLUMNS))
         self.collided: set[str] = set()
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
@@ -142,7 +143,12 @@ class Ego:
     @property
     def position(self) -> float:
         """Distance along the route of the vehicle, junctions not counted [m]."""
-        return self.state.position + self._origin + self.route_offset
+        return self.state.position + self.offset
+
+    @property
+    def offset(self) -> float:
+        """Position along the route where the path that it follows begins [m]."""
+        return self._origin + self.route_offset
 
     @property
     def speed(self) -> float:
@@ -215,7 +221,7 @@ class Ego:
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
-        return References(self.path, self.driven, speeds, accels, noise, self._origin + self.route_offset)
+        return References(self.path, self.driven, speeds, accels, noise, self.offset)
 
     def _softened(self, end: float, step: float) -> float:
         """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""
@@ -256,7 +262,7 @@ class Ego:
 
     def trace(self) -> np.ndarray:
         """All rows so far (n, len(COLUMNS))."""
-        return np.concatenate(self.frames) if self.frames else np.zeros((0, len(COLUMNS)))
+        return self.frames.all()
 
     def too_tight(self) -> str:
         """Words for a lost car: what of its way no car can drive, as where SUMO turns back within its lane."""
@@ -355,7 +361,7 @@ class Ego:
         self.events.append(Event(self.time, level, text))
 
     def _note_networks(self, rows: np.ndarray) -> None:
-        last = self.frames[-1][-1] if self.frames else np.zeros(WIDTH)
+        last = self.frames.last[-1] if len(self.frames.last) else np.zeros(WIDTH)
         if not rows.size or np.array_equal(rows[-1, NETWORK_COUNTS], last[NETWORK_COUNTS]):
             return
         for row in rows:
