@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -167,7 +168,7 @@ def until(condition, seconds: float = 30.0):
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the listener is killed
 def heard_rows(file) -> int:
     """Poses of the ego in a file that is being written; none while what there is of it cannot be read."""
-    with contextlib.suppress(RuntimeError):
+    with contextlib.suppress(RuntimeError), warnings.catch_warnings(action="ignore"):
         return len(rows_of(file, "/world/ego", "Transform3D:translation")[0]) if file.exists() else 0
     return 0
 
