@@ -133,12 +133,21 @@ def town_corner(radius=6.0, spacing=0.1):
 def test_car_stops_creeps_and_turns_through_a_town(bench, law, share):
     # from standstill, through a corner at 4 m/s, a stop within the next one, creeping on at 0.6 m/s, and away
     t = np.arange(0.0, 50.0, 0.01)
-    knots = [(0, 0.0), (1, 0.0), (4, 4.0), (15.5, 4.0), (17.5, 0.0), (22, 0.0), (23, 0.6), (30, 0.6), (33, 4.0), (50, 4.0)]
+    knots = [
+        (0, 0.0),
+        (1, 0.0),
+        (4, 4.0),
+        (15.5, 4.0),
+        (17.5, 0.0),
+        (22, 0.0),
+        (23, 0.6),
+        (30, 0.6),
+        (33, 4.0),
+        (50, 4.0),
+    ]
     speeds = np.interp(np.append(t, 50.0), *zip(*knots, strict=True))
     path = town_corner()
-    found = bench.drive(
-        path, 0.0, 50.0, changes={"lateral.law": law, **authority(share)}, speeds=speeds, position=5.0
-    )
+    found = bench.drive(path, 0.0, 50.0, changes={"lateral.law": law, **authority(share)}, speeds=speeds, position=5.0)
     assert found.status in (0, 2)  # runs on, or at the end of the path
     assert found.column("path_position")[-1] > 80.0
     assert np.abs(found.column("cross_track_error")).max() < 0.6
