@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from emran_sumo.control.bicycle import bicycle
 from emran_sumo.control.fuzzy import RULES, FuzzyParams, blank_fuzzy, firing, fuzzy_pid, membership, observe, train
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 
@@ -84,13 +85,13 @@ def test_training_is_a_kalman_filter_with_one_block_for_each_rule():
         b = np.outer(phi, parts).ravel()
         gain = p @ b / (0.5 + b @ p @ b)
         theta = theta + gain * 0.01
-        theta = np.clip(theta.reshape(-1, 3), memory.gains[0] * 0 + [0.1 * g for g in params[1:4]], None)
+        theta = np.clip(theta.reshape(-1, 3), [0.1 * g for g in params[1:4]], None)
         theta = np.minimum(theta, [10.0 * g for g in params[1:4]]).ravel()
         p = (p - np.outer(gain, p @ b)) * blocks
         p[np.diag_indices(3 * RULES)] = np.minimum(np.diag(p) + 1e-3, 5.0)
         np.testing.assert_allclose(memory.gains.ravel(), theta, rtol=1e-10)
-        np.testing.assert_allclose(memory.covariance, np.array([p[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(25)]),
-                                   rtol=1e-9, atol=1e-12)  # fmt: skip
+        own = np.array([p[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(RULES)])
+        np.testing.assert_allclose(memory.covariance, own, rtol=1e-9, atol=1e-12)
 
 
 def test_trained_gains_stay_within_their_range():
@@ -108,12 +109,7 @@ def test_trained_gains_stay_within_their_range():
 @pytest.mark.parametrize("push", [1.0, -1.0])
 def test_observer_finds_an_acceleration_that_the_bicycle_misses(push):
     # side speed held at 0 on a straight against a constant push: the bicycle misses exactly that push
-    from emran_sumo.control.bicycle import bicycle
-
-    model = bicycle(CAR, 15.0)
-    steer = -push / model.lat_steer * 1.0
-    r = -(model.yaw_steer * steer) / model.yaw_yaw * 0.0
-    state = car(15.0, steer=steer, speed_lat=0.0, yaw_rate=r)
+    state = car(15.0, steer=-push / bicycle(CAR, 15.0).lat_steer)
     memory = blank_fuzzy(P)
     for _ in range(1500):
         side, turn, miss = observe(P, memory, CAR, state, 0.01)

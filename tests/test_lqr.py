@@ -15,7 +15,6 @@ from emran_sumo.control.lqr import (
     riccati,
     zero_order_hold,
 )
-from emran_sumo.path import nearest
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 
 CAR, T = VehicleParams(), 0.01
@@ -29,9 +28,8 @@ def rajamani(v):
     a = np.zeros((5, 5))
     a[0, 1] = a[2, 3] = 1.0
     a[1] = [0, -(CF + CR) / (M * v), (CF + CR) / M, (LR * CR - LF * CF) / (M * v), CF / M]
-    a[3] = [
-        0, -(LF * CF - LR * CR) / (IZ * v), (LF * CF - LR * CR) / IZ, -(LF**2 * CF + LR**2 * CR) / (IZ * v), LF * CF / IZ,
-    ]  # fmt: skip
+    balance, turn = LF * CF - LR * CR, LF**2 * CF + LR**2 * CR
+    a[3] = [0, -balance / (IZ * v), balance / IZ, -turn / (IZ * v), LF * CF / IZ]
     a[4, 4] = -1.0 / LAG
     return a, np.array([[0, 0, 0, 0, 1.0 / LAG]]).T
 
@@ -92,14 +90,6 @@ def test_closed_loop_is_stable_with_the_gains_between_two_rows_of_the_table(spee
     np.testing.assert_allclose(gain, dare_gain(a, b, q)[0], rtol=0.03, atol=2e-3)
 
 
-def call(gains, state, kappa, offset=0.0, heading=0.0, path=None, position=0.0):
-    if path is None:
-        from tests.conftest import circle
-
-        path = circle(1 / kappa, 200.0) if kappa else circle(1e9, 200.0)
-    return lqr(gains, CAR, state, path, position, -offset, -heading, kappa, T)
-
-
 @pytest.mark.parametrize("params", [LqrParams(), LqPreviewParams()], ids=["lqr", "preview"])
 @pytest.mark.parametrize("speed", [0.5, 8.0, 25.0])
 @pytest.mark.parametrize("kappa", [0.008, -0.008])
@@ -156,12 +146,3 @@ def test_gains_hold_below_the_slowest_speed_of_the_table(bench):
     fast = lqr(gains, CAR, rolling_start(CAR, 60.0, 0.0, 0.0, 0.0), path, 10.0, 0.1, 0.0, 0.0, T)
     assert math.isfinite(fast)
     assert fast == pytest.approx(gains.feedback[-1, 0] * 0.1, rel=1e-3)
-
-
-def test_car_beside_the_path_is_led_back(bench):
-    for name in ("lqr", "lq-preview"):
-        found = bench.drive(bench.straight(400.0), 15.0, 6.0, name, position=5.0)
-        assert np.abs(found.column("cross_track_error")).max() == 0.0
-    line = bench.straight(400.0)
-    at = nearest(line, 5.0, 0.5, 5.0)
-    assert at.position == 5.0

@@ -27,15 +27,15 @@ class AdrcParams(NamedTuple):
     tracking differentiator leads an offset back to the path.  preview: how far ahead the curvature is read.
     """
 
-    control_bandwidth: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 3.9697
-    observer_bandwidth: Annotated[float, Field(gt=0, le=90), Unit("1/s")] = 10.337
-    error_power: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.79625
-    rate_power: Annotated[float, Field(gt=0, le=2), Unit("-")] = 1.4758
-    error_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.11097
-    rate_zone: Annotated[float, Field(gt=0, le=10), Unit("m/s")] = 0.010005
-    estimate_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.048052
+    control_bandwidth: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 6.3456
+    observer_bandwidth: Annotated[float, Field(gt=0, le=90), Unit("1/s")] = 17.155
+    error_power: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.7138
+    rate_power: Annotated[float, Field(gt=0, le=2), Unit("-")] = 0.75292
+    error_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.083094
+    rate_zone: Annotated[float, Field(gt=0, le=10), Unit("m/s")] = 0.035834
+    estimate_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.18271
     transition: Annotated[float, Field(gt=0, le=100), Unit("m/s^2")] = 3.0
-    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 1.2926e-05
+    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.12
 
 
 class AdrcMemory(NamedTuple):

@@ -30,21 +30,21 @@ class FuzzyParams(NamedTuple):
     disturbance_max: bound of the angle against the disturbance it finds.
     """
 
-    lookahead: Annotated[float, Field(ge=0, le=50), Unit("m")] = 4.0
-    K_P: Annotated[float, Field(ge=0, le=10), Unit("rad/m")] = 0.15
-    K_I: Annotated[float, Field(ge=0, le=10), Unit("rad/(m s)")] = 0.05
-    K_D: Annotated[float, Field(ge=0, le=10), Unit("rad s/m")] = 0.03
-    cross_track_span: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.3
-    heading_span: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.1
+    lookahead: Annotated[float, Field(ge=0, le=50), Unit("m")] = 1.001
+    K_P: Annotated[float, Field(ge=0, le=10), Unit("rad/m")] = 0.020253
+    K_I: Annotated[float, Field(ge=0, le=10), Unit("rad/(m s)")] = 0.015737
+    K_D: Annotated[float, Field(ge=0, le=10), Unit("rad s/m")] = 0.29654
+    cross_track_span: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.077396
+    heading_span: Annotated[float, Field(gt=0, le=1), Unit("rad")] = 0.030512
     width: Annotated[float, Field(gt=0, le=2), Unit("-")] = 0.25
     blur: Annotated[float, Field(ge=0, le=0.5), Unit("-")] = 0.15
     variance: Annotated[float, Field(ge=0, le=1e6), Unit("-")] = 1.0
     drift: Annotated[float, Field(ge=0, le=1e3), Unit("-")] = 1e-4
     noise: Annotated[float, Field(gt=0, le=1e6), Unit("-")] = 10.0
-    teaching: Annotated[float, Field(ge=0, le=10), Unit("rad/m")] = 0.1
-    gain_range: Annotated[float, Field(ge=1, le=10), Unit("-")] = 2.0
+    teaching: Annotated[float, Field(ge=0, le=10), Unit("rad/m")] = 0.99079
+    gain_range: Annotated[float, Field(ge=1, le=10), Unit("-")] = 2.3365
     integral_max: Annotated[float, Field(ge=0, le=0.6), Unit("rad")] = 0.05
-    observer: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 10.0
+    observer: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 39.298
     neuron_variance: Annotated[float, Field(ge=0, le=1e6), Unit("-")] = 1.0
     neuron_drift: Annotated[float, Field(ge=0, le=1e3), Unit("-")] = 1e-3
     disturbance_max: Annotated[float, Field(ge=0, le=0.6), Unit("rad")] = 0.05
