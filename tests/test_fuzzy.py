@@ -8,7 +8,7 @@ from emran_sumo.control.fuzzy import RULES, FuzzyParams, blank_fuzzy, firing, fu
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 
 CAR = VehicleParams()
-P = FuzzyParams(width=0.25, blur=0.15, cross_track_span=0.4, heading_span=0.1)
+P = FuzzyParams(width=0.25, blur=0.15, cross_track_span=0.4, heading_span=0.1, gain_range=2.0, observer=10.0)
 
 
 def car(speed, **state):
