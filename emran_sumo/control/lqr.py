@@ -15,6 +15,7 @@ from emran_sumo.units import Unit
 
 STATES = 5  # cross-track offset, side speed, heading, yaw rate, road-wheel angle
 SLOWEST, FASTEST, SPACING = 1.0, 46.0, 0.5  # m/s: speeds of the table of gains
+OFFSET_ACCEL = 4.0  # m/s2: lateral acceleration that an offset from the path may ask for
 DOUBLINGS = 30  # at most; 2^30 steps of the Riccati recursion
 
 
@@ -70,15 +71,18 @@ def lqr(gains, vehicle, state, path, position, cross_track_error, heading_error,
         Road-wheel angle [rad], not yet limited.
 
     Source: Rajamani, chapter 3, in measured states in place of error rates (no derivative of the curvature is left
-    out); preview: Tomizuka 1976.  Differs: below 1 m/s the gains are those of 1 m/s.
+    out); preview: Tomizuka 1976.  Differs: below 1 m/s the gains are those of 1 m/s; an offset counts no more than
+    an angle that turns the car with 4 m/s2, or a car beside the path at speed would steer faster than it can.
     """
     v = max(state.speed_long, 0.0)
     side_slip, angle = steady_turn(vehicle, v)
     row = min(max((v - SLOWEST) / SPACING, 0.0), gains.feedback.shape[0] - 1.000001)
     i = int(row)
     f = row - i
+    gain = gains.feedback[i, 0] + f * (gains.feedback[i + 1, 0] - gains.feedback[i, 0])
+    most = OFFSET_ACCEL * angle / max(v * v, 1.0) / gain
     deviation = (
-        -cross_track_error,
+        min(max(-cross_track_error, -most), most),
         state.speed_lat - v * side_slip * curvature,
         -heading_error + side_slip * curvature,
         state.yaw_rate - v * curvature,
