@@ -143,6 +143,15 @@ def test_gains_hold_below_the_slowest_speed_of_the_table(bench):
         lqr(gains, CAR, rolling_start(CAR, v, 0.0, 0.0, 0.0), path, 10.0, 0.1, 0.0, 0.0, T) for v in (1.0, 0.0)
     )
     assert slow == slower == pytest.approx(gains.feedback[0, 0] * 0.1)
-    fast = lqr(gains, CAR, rolling_start(CAR, 60.0, 0.0, 0.0, 0.0), path, 10.0, 0.1, 0.0, 0.0, T)
-    assert math.isfinite(fast)
-    assert fast == pytest.approx(gains.feedback[-1, 0] * 0.1, rel=1e-3)
+    fast = lqr(gains, CAR, rolling_start(CAR, 60.0, 0.0, 0.0, 0.0), path, 10.0, 1e-4, 0.0, 0.0, T)
+    assert fast == pytest.approx(gains.feedback[-1, 0] * 1e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize("speed", [5.0, 25.0, 40.0])
+def test_an_offset_asks_for_no_more_than_a_gentle_turn(bench, speed):
+    gains, path = lqr_gains(LqrParams(), CAR, T), bench.straight(50.0)
+    slope = M * speed**2 / (LF + LR)
+    turn = 4.0 / speed**2 * (LF + LR + slope * (LR / CF - LF / CR))  # angle of the bend with 4 m/s2
+    for offset in (3.0, -3.0):
+        found = lqr(gains, CAR, rolling_start(CAR, speed, 0.0, 0.0, 0.0), path, 10.0, offset, 0.0, 0.0, T)
+        assert found == pytest.approx(math.copysign(turn, offset), rel=1e-9)
