@@ -37,7 +37,8 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     line = np.arange(n) * 0.25
     flat = np.zeros(n)
     track = Track(line, flat, flat, flat, flat, 0.25)
-    state = start(scenario.vehicle, rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0), 5.0, True)
+    car = rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0)
+    state = start(scenario.vehicle, scenario.longitudinal, scenario.lateral, car, 5.0, scenario.rates.control_step)
     nets = blank_networks(scenario.control)
     references = quiet_references(track, np.full(3, 10.0), np.zeros(2))
     closed_loop(
@@ -53,14 +54,19 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     project(track, np.ones(1), np.ones(1), 5.0, 10.0)
     nearest(track, 1.0, 1.0, point_at(track, 5.0).position)
     interpolate(track.x, track, 5.0)
-    for kind in _kinds(scenario):
+    for kind in kinds(scenario):
         kernels.mark_compiled(kind)
 
 
 def warm(scenario: Scenario) -> bool:
     """Whether every kernel of a run lies in the cache."""
-    return all(map(kernels.compiled_before, _kinds(scenario)))
+    return all(map(kernels.compiled_before, kinds(scenario)))
 
 
-def _kinds(scenario: Scenario) -> tuple[str, ...]:
-    return (kernels.ALL, kernels.OWN) if is_own(scenario.controller) else (kernels.ALL,)
+def kinds(scenario: Scenario) -> tuple[str, ...]:
+    """Names of the sets of kernels that a run needs: each law is compiled when it is first used."""
+    law = scenario.lateral.law.replace("lq_preview", "lqr")
+    parts = [law] if law != "stanley" else []
+    parts += [half for half in ("longitudinal", "lateral") if getattr(scenario, half).emran.all_neurons]
+    known = "-".join((kernels.ALL, *parts))
+    return (known, kernels.OWN) if is_own(scenario.controller) else (known,)

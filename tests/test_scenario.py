@@ -77,7 +77,7 @@ MISSPELLED = (
     ("road.friction.dry=1", r'--set: unknown key "road\.friction\.dry"\. Did you mean "road\.friction"\?'),
     ("road={friction=0.5, ice=2}", r'--set: unknown key "road\.ice"\. Did you mean "road\.friction"\?'),
     ("controller=pid-stanly", r'--set: controller: found "pid-stanly"\. Did you mean "pid-stanley"\?'),
-    ("controller=7", r"--set: controller: found 7\. Known: coupled-base, .*stanley-emran\."),
+    ("controller=7", r"--set: controller: found 7\. Known: adrc, .*stanley-hoffmann\."),
     ('controller=["pid-stanley"]', r'--set: controller: found \["pid-stanley"\]\. Did you mean "pid-stanley"\?'),
 )
 WRONG_VALUE = (
