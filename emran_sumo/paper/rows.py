@@ -31,13 +31,14 @@ _OBSERVER = {
 }  # fmt: skip
 _CUT = {"lateral.conditioning": True}
 _BASE = {"controller": "coupled-base"}
+OWN = "paper's signal, tuned"
 PLAIN = Row("pid-stanley", {"controller": "pid-stanley"}, "pid-stanley", False)
 BASE_ACCURACY = "coupled-base, accuracy mode"
 
 
 def rows(half: str) -> tuple[Row, ...]:
     """The rows of a table of one half of the controller; on a straight road there is no path to condition."""
-    own = Row("paper's signal, tuned", tuned(), PLAIN.name)
+    own = Row(OWN, tuned(), PLAIN.name)
     if half == "longitudinal":
         return (
             PLAIN, own, Row("coupled-base", _BASE, "coupled-base"),
