@@ -162,7 +162,7 @@ def tune(
 def paper(
     table: Annotated[
         list[str] | None,
-        typer.Argument(help="III to IX, XI, blind, memory, timing; all but timing by default."),
+        typer.Argument(help="III to IX, XI, XII, add-on, blind, memory, timing; all but timing by default."),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write every cell to this file.")] = None,
     literal: Annotated[

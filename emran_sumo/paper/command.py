@@ -31,8 +31,8 @@ def paper(
         raise UserError("--markdown: writes every table in every condition; accepted without other options.")
     if figures and (markdown or json_file or literal or noise or delay):
         raise UserError("--figures: writes the figures instead of the tables; accepted with names of tables alone.")
-    if literal and len(tables.driven_tables(wanted)) < len(names):
-        raise UserError("--literal: accepted with the tables III to IX, XI and blind.")
+    if literal and (len(tables.driven_tables(wanted)) < len(names) or ({*wanted} & {*tables.ADD_ON} and names)):
+        raise UserError("--literal: accepted with the tables III to IX, XI, XII and blind.")
     out = show.console()
     if not compiled_before():
         out.print("compiling the kernels, once per version: about half a minute")
