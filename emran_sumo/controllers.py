@@ -6,6 +6,7 @@ _PLAIN_LATERAL = {
     "lateral.softening": 0.0,
     "lateral.emran.authority": 0.0,
 }
+_NO_NETWORKS = {"longitudinal.emran.authority": 0.0, "lateral.emran.authority": 0.0}
 _PLAIN_LONGITUDINAL = {"longitudinal.feedforward": False, "longitudinal.emran.authority": 0.0}
 
 DEFAULT = "coupled-emran"
@@ -15,7 +16,7 @@ CONTROLLERS: dict[str, tuple[str, dict[str, object]]] = {
     "coupled-emran": ("PID cruise and Stanley steering with feed-forward, both aided by EMRAN networks", {}),
     "coupled-base": (
         "the same feed-forward and feedback without the networks",
-        {"longitudinal.emran.authority": 0.0, "lateral.emran.authority": 0.0},
+        _NO_NETWORKS,
     ),
     "pid-stanley": (
         "the paper's baseline: PID cruise and Stanley steering (Eq. 22) alone",
@@ -23,4 +24,34 @@ CONTROLLERS: dict[str, tuple[str, dict[str, object]]] = {
     ),
     "pid-emran": ("EMRAN-aided cruise with plain Stanley steering", _PLAIN_LATERAL),
     "stanley-emran": ("EMRAN-aided steering with plain PID cruise", _PLAIN_LONGITUDINAL),
+    "coupled-mran": (
+        "coupled-emran whose filters correct all neurons at once (MRAN), not the winner alone",
+        {"longitudinal.emran.all_neurons": True, "lateral.emran.all_neurons": True},
+    ),
+    "stanley-hoffmann": (
+        "full Stanley law (yaw damping, steady-state yaw), cruise of coupled-base",
+        {"lateral.law": "hoffmann", **_NO_NETWORKS},
+    ),
+    "adrc": ("ADRC steering on a flat output, cruise of coupled-base", {"lateral.law": "adrc", **_NO_NETWORKS}),
+    "adrc-emran": ("ADRC steering and the cruise of coupled-base, both aided by EMRAN", {"lateral.law": "adrc"}),
+    "lqr": (
+        "LQR steering with curvature feed-forward, cruise of coupled-base",
+        {"lateral.law": "lqr", **_NO_NETWORKS},
+    ),
+    "lqr-emran": (
+        "LQR steering with feed-forward and the cruise of coupled-base, both aided by EMRAN",
+        {"lateral.law": "lqr"},
+    ),
+    "lq-preview": (
+        "LQ steering with preview of the curvature ahead, cruise of coupled-base",
+        {"lateral.law": "lq_preview", **_NO_NETWORKS},
+    ),
+    "lq-preview-emran": (
+        "LQ preview steering and the cruise of coupled-base, both aided by EMRAN",
+        {"lateral.law": "lq_preview"},
+    ),
+    "ekf-t2fnn": (
+        "type-2 fuzzy neural PID steering with EKF observer (reconstruction), cruise of coupled-base",
+        {"lateral.law": "t2fnn", **_NO_NETWORKS},
+    ),
 }

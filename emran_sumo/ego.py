@@ -99,7 +99,7 @@ class Ego:
         if pose.speed > TOO_FAST * cap:
             pose = pose._replace(speed=cap)
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
-        self.state = start(vehicle, car, guess, scenario.longitudinal.feedforward)
+        self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
         self.take_path(handed.path, _way_in(handed.path, pose, guess))
         self.route_offset = handed.route_position - self.state.position
         self.networks = blank_networks(scenario.control)

@@ -25,12 +25,12 @@ from emran_sumo.control.emran import (
     blank_memory,
 )
 from emran_sumo.control.steering import INPUTS as STEERING_INPUTS
-from emran_sumo.control.steering import SteeringMemory, SteeringParams, track
+from emran_sumo.control.steering import SteeringMemory, SteeringParams, blank_steering, track
 from emran_sumo.kernels import njit
 from emran_sumo.path import Path, interpolate, nearest, path_length, point_at, tracking_errors
 from emran_sumo.plant.disturbance import environment
 from emran_sumo.plant.sensors import CHANNELS, SensorParams, measured_state
-from emran_sumo.plant.vehicle import Actuation, VehicleState, forces, step
+from emran_sumo.plant.vehicle import Actuation, VehicleParams, VehicleState, forces, step
 
 RUNNING, DIVERGED, PATH_ENDED = range(3)
 STATUS = ("running", "diverged", "path ended")
@@ -58,7 +58,7 @@ AT = namedtuple("Column", TRACE)(*range(WIDTH))  # AT.time is the place of "time
 
 
 class ControlParams(NamedTuple):
-    """Both halves of the coupled controller, and what they see through."""
+    """Both halves of the coupled controller, and what they see through; kernels want the `compiled_view` of it."""
 
     longitudinal: CruiseParams = CruiseParams()
     lateral: SteeringParams = SteeringParams()
@@ -124,13 +124,29 @@ def blank_networks(params: ControlParams) -> Networks:
     )
 
 
-def start(vehicle, state: VehicleState, position: float, full: bool) -> LoopState:
-    """State of a loop that takes over a rolling vehicle: the plain PID starts at the trim of drag and rolling."""
+def start(
+    vehicle: VehicleParams,
+    longitudinal: CruiseParams,
+    lateral: SteeringParams,
+    state: VehicleState,
+    position: float,
+    period: float,
+) -> LoopState:
+    """State of a loop that takes over a rolling vehicle: the plain PID starts at the trim of drag and rolling.
+
+    Args:
+        vehicle: VehicleParams the laws believe in.
+        longitudinal, lateral: CruiseParams, SteeringParams.
+        state: VehicleState at the take-over.
+        position: of the nearest point of the driven path [m].
+        period: control period [s].
+    """
     achieved = state.torque / (vehicle.wheel_radius * vehicle.mass)
-    trim = 0.0 if full else float(resistance(vehicle, state.speed_long))
+    trim = 0.0 if longitudinal.feedforward else float(resistance(vehicle, state.speed_long))
     motion = Motion(state.speed_long, state.accel_long, 0.0, achieved, position)
     pending = np.tile((state.steer, state.torque), (DELAYS, 1))
-    return LoopState(state, rolling_memory(state.speed_long, motion, trim), SteeringMemory(0.0), position, pending)
+    cruise = rolling_memory(state.speed_long, motion, trim)
+    return LoopState(state, cruise, blank_steering(lateral, vehicle, state, period), position, pending)
 
 
 def quiet_references(path: Path, speeds: np.ndarray, accels: np.ndarray) -> References:

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from emran_sumo import locate, shipped
 from emran_sumo.control.cruise import CruiseParams
-from emran_sumo.control.steering import SteeringParams
+from emran_sumo.control.steering import SteeringParams, compiled_view
 from emran_sumo.controllers import CONTROLLERS, DEFAULT
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.loop import DELAYS, Clock, ControlParams
@@ -91,8 +91,8 @@ class Scenario(NamedTuple):
 
     @property
     def control(self) -> ControlParams:
-        """Parameters of both halves of the controller."""
-        return ControlParams(self.longitudinal, self.lateral, self.sensors)
+        """Parameters of both halves of the controller, as kernels take them."""
+        return ControlParams(self.longitudinal, compiled_view(self.lateral), self.sensors)
 
     def clock(self, tick: int = 0) -> Clock:
         """Clock at control period `tick`."""

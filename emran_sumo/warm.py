@@ -22,7 +22,8 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     line = np.arange(n) * 0.25
     flat = np.zeros(n)
     track = Track(line, flat, flat, flat, flat, 0.25)
-    state = start(scenario.vehicle, rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0), 5.0, True)
+    car = rolling_start(scenario.vehicle, 10.0, 5.0, 0.0, 0.0)
+    state = start(scenario.vehicle, scenario.longitudinal, scenario.lateral, car, 5.0, scenario.rates.control_step)
     nets = blank_networks(scenario.control)
     references = quiet_references(track, np.full(3, 10.0), np.zeros(2))
     closed_loop(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from emran_sumo.control.steering import compiled_view
 from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.loop import (
     AT,
@@ -86,8 +87,9 @@ def drive_along(
     at = point_at(path, position)
     at = nearest(path, at.x, at.y, position)
     car = rolling_start(CAR, float(speed), at.x, at.y, at.yaw)
-    state = start(CAR, car, at.position, control.longitudinal.feedforward)
+    state = start(CAR, control.longitudinal, control.lateral, car, at.position, 0.01)
     nets = networks or blank_networks(control)
+    control = control._replace(lateral=compiled_view(control.lateral))
     trace, done, status = new_trace(count), 0, 0
     while done < count and status == 0:
         n = min(chunk or count, count - done)

@@ -1,145 +1,40 @@
 """EMRAN: a radial basis network that grows, corrects its winner by an extended Kalman filter, prunes and merges."""
 
 import math
-from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
+from emran_sumo.control.mran import blend_blocks, joint_update, open_block
+from emran_sumo.control.neurons import (
+    DELETED,
+    GROWN,
+    LEARNED,
+    MERGED,
+    NEURONS,
+    PRUNED,
+    RESERVED,
+    SAMPLES,
+    EmranMemory,
+    EmranParams,
+    activation,
+    blank_memory,
+    gradient,
+    initial_variance,
+    predict,
+    remove,
+    variance_drift,
+    winner,
+)
 from emran_sumo.kernels import njit
-from emran_sumo.units import Unit
 
-# places in EmranMemory.counts
-NEURONS, SAMPLES, LEARNED, DELETED, RESERVED, GROWN, PRUNED, MERGED = range(8)
+__all__ = [
+    "DELETED", "GROWN", "LEARNED", "MERGED", "NEURONS", "PRUNED", "RESERVED", "SAMPLES", "EmranMemory", "EmranParams",
+    "activation", "blank_memory", "fade", "gradient", "initial_variance", "learn", "learn_bias", "predict", "prune",
+    "variance_drift",
+]  # fmt: skip
+
 # a network whose largest neuron contributes less than this says nothing about which neuron is idle
 SILENT = 1e-4
-
-
-class EmranParams(NamedTuple):
-    """One EMRAN network with a single output, in the units of its learning signal (rad or m/s2).
-
-    The paper's P_0, q and R appear as learning rates, which do not depend on the control period: while the winner is
-    fully active its output follows the learning signal at `rate_initial` after birth and `rate_steady` later.
-
-        P_0 = R l_0 T / (1 - l_0 T),   q = R (l_s T)^2 / (1 - l_s T),   R = 1
-
-    neurons_max = 0 leaves the bias alone: an integrator of the learning signal. `unsigned` learns from the norm of
-    the signal, as Eq. 15 is printed; it exists to show what that does.
-    """
-
-    authority: Annotated[float, Field(ge=0, le=1), Unit("-")] = 1.0
-    eps_max: Annotated[float, Field(gt=0, le=100), Unit("-")] = 3.422
-    eps_min: Annotated[float, Field(gt=0, le=100), Unit("-")] = 2.562
-    gamma: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.98
-    error_delete: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00055
-    error_learn: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00111
-    error_grow: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00051
-    rms_grow: Annotated[float, Field(ge=0, le=10), Unit("signal")] = 0.00026
-    window: Annotated[int, Field(ge=1, le=1000), Unit("samples")] = 14
-    overlap: Annotated[float, Field(gt=0, le=10), Unit("-")] = 1.358
-    growth_gain: Annotated[float, Field(ge=0, le=1), Unit("-")] = 0.262
-    rate_initial: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 2.947
-    rate_steady: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 2.673
-    shape_gain: Annotated[float, Field(ge=0, le=1), Unit("-")] = 1.0
-    bias_rate: Annotated[float, Field(ge=0, le=90), Unit("1/s")] = 0.979
-    leak: Annotated[float, Field(ge=0, le=10), Unit("1/s")] = 0.0093
-    width_min: Annotated[float, Field(gt=0, le=100), Unit("-")] = 0.02
-    width_max: Annotated[float, Field(gt=0, le=100), Unit("-")] = 100.0
-    center_step: Annotated[float, Field(ge=0, le=10), Unit("widths")] = 0.5
-    output_max: Annotated[float, Field(gt=0, le=100), Unit("signal")] = 0.15
-    prune_share: Annotated[float, Field(ge=0, lt=1), Unit("-")] = 0.037
-    prune_samples: Annotated[int, Field(ge=1, le=100_000), Unit("samples")] = 81
-    merge_distance: Annotated[float, Field(ge=0, le=100), Unit("-")] = 0.77
-    neurons_max: Annotated[int, Field(ge=0, le=200), Unit("neurons")] = 40
-    unsigned: Annotated[bool, Unit("on/off")] = False
-
-
-class EmranMemory(NamedTuple):
-    """What a network has learned; arrays changed in place.  H = neurons_max, s inputs, l = s + 2 parameters.
-
-    centers (H, s), widths (H,), weights (H,), covariance (H, l, l) of [weight, center, width], idle (H,) samples
-    without contribution, age (H,) samples, errors (window,) last learning signals, counts (8,), bias (1,),
-    scale (1,) the distance eps_1 that makes an input new.
-    """
-
-    centers: np.ndarray
-    widths: np.ndarray
-    weights: np.ndarray
-    covariance: np.ndarray
-    idle: np.ndarray
-    age: np.ndarray
-    errors: np.ndarray
-    counts: np.ndarray
-    bias: np.ndarray
-    scale: np.ndarray
-
-
-def blank_memory(params: EmranParams, inputs: int) -> EmranMemory:
-    """An empty network for `inputs` inputs."""
-    h, l = params.neurons_max, inputs + 2
-    return EmranMemory(
-        np.zeros((h, inputs)),
-        np.ones(h),
-        np.zeros(h),
-        np.zeros((h, l, l)),
-        np.zeros(h, np.int64),
-        np.zeros(h, np.int64),
-        np.zeros(params.window),
-        np.zeros(8, np.int64),
-        np.zeros(1),
-        np.full(1, params.eps_max),
-    )
-
-
-@njit
-def activation(memory, k, inputs):
-    """Gaussian response of neuron k to `inputs` (s,).
-
-    z = exp(-|v - mu|^2 / (2 sigma^2))                                                            (11)
-    """
-    d2 = 0.0
-    for i in range(inputs.size):
-        d2 += (inputs[i] - memory.centers[k, i]) ** 2
-    return math.exp(-0.5 * d2 / (memory.widths[k] * memory.widths[k]))
-
-
-@njit
-def predict(params, memory, inputs):
-    """Output of the network, bounded to +-output_max.
-
-    u = alpha_0 + sum_k alpha_k z_k                                                               (12)
-    """
-    total = memory.bias[0]
-    for k in range(memory.counts[NEURONS]):
-        total += memory.weights[k] * activation(memory, k, inputs)
-    return min(max(total, -params.output_max), params.output_max)
-
-
-@njit
-def _winner(memory, inputs):
-    """Index of the neuron nearest to `inputs` and its distance; (-1, inf) in an empty network."""
-    best, best_d2 = -1, np.inf
-    for k in range(memory.counts[NEURONS]):
-        d2 = 0.0
-        for i in range(inputs.size):
-            d2 += (inputs[i] - memory.centers[k, i]) ** 2
-        if d2 < best_d2:
-            best, best_d2 = k, d2
-    return best, math.sqrt(best_d2)
-
-
-@njit
-def initial_variance(params, rate_scale, period):
-    """P_0 for which the first correction follows the signal at the rate `rate_initial`."""
-    x = min(params.rate_initial * rate_scale * period, 0.9)
-    return x / (1.0 - x)
-
-
-@njit
-def variance_drift(params, rate_scale, period):
-    """q for which the corrections settle at the rate `rate_steady`."""
-    x = min(params.rate_steady * rate_scale * period, 0.9)
-    return x * x / (1.0 - x)
 
 
 @njit
@@ -162,6 +57,7 @@ def _grow(params, memory, inputs, error, distance, rate_scale, period):
         for j in range(l):
             memory.covariance[k, i, j] = 0.0
         memory.covariance[k, i, i] = p0 if i == 0 else p0 * params.shape_gain
+    open_block(memory.joint, k, l, memory.covariance[k])
     for i in range(inputs.size):
         memory.centers[k, i] = inputs[i]
     memory.idle[k] = 0
@@ -171,20 +67,19 @@ def _grow(params, memory, inputs, error, distance, rate_scale, period):
 
 
 @njit
-def gradient(memory, k, inputs, out):
-    """B (l,): gradient of neuron k's output with respect to its weight, center and width, written to `out`.
-
-    B = [z,  alpha z (v - mu) / sigma^2,  alpha z |v - mu|^2 / sigma^3]
-    """
-    z = activation(memory, k, inputs)
-    a, w = memory.weights[k], memory.widths[k]
-    d2 = 0.0
-    for i in range(inputs.size):
-        d = inputs[i] - memory.centers[k, i]
-        d2 += d * d
-        out[1 + i] = a * z * d / (w * w)
-    out[0] = z
-    out[1 + inputs.size] = a * z * d2 / (w * w * w)
+def _move(params, memory, k, pb, s, error):
+    """Change weight, center and width of neuron k by `pb` (l,) / s * error, within their bounds."""
+    move2 = 0.0
+    for i in range(memory.centers.shape[1]):
+        move2 += (pb[1 + i] / s * error) ** 2
+    reach = params.center_step * memory.widths[k]
+    shrink = min(1.0, reach / math.sqrt(move2)) if move2 > 0.0 else 1.0
+    limit = params.output_max
+    memory.weights[k] = min(max(memory.weights[k] + pb[0] / s * error, -limit), limit)
+    for i in range(memory.centers.shape[1]):
+        memory.centers[k, i] += shrink * pb[1 + i] / s * error
+    width = memory.widths[k] + pb[memory.centers.shape[1] + 1] / s * error
+    memory.widths[k] = min(max(width, params.width_min), params.width_max)
 
 
 @njit
@@ -210,17 +105,7 @@ def _correct(params, memory, k, inputs, error, rate_scale, period):
             pb[i] += p[i, j] * b[j]
     for i in range(l):
         s += b[i] * pb[i]
-    move2 = 0.0
-    for i in range(inputs.size):
-        move2 += (pb[1 + i] / s * error) ** 2
-    reach = params.center_step * memory.widths[k]
-    shrink = min(1.0, reach / math.sqrt(move2)) if move2 > 0.0 else 1.0
-    limit = params.output_max
-    memory.weights[k] = min(max(memory.weights[k] + pb[0] / s * error, -limit), limit)
-    for i in range(inputs.size):
-        memory.centers[k, i] += shrink * pb[1 + i] / s * error
-    width = memory.widths[k] + pb[l - 1] / s * error
-    memory.widths[k] = min(max(width, params.width_min), params.width_max)
+    _move(params, memory, k, pb, s, error)
     q = variance_drift(params, rate_scale, period)
     for i in range(l):
         for j in range(i + 1):
@@ -229,6 +114,34 @@ def _correct(params, memory, k, inputs, error, rate_scale, period):
                 value += q if i == 0 else q * params.shape_gain
             p[i, j] = value
             p[j, i] = value
+
+
+@njit
+def _correct_all(params, memory, joint, inputs, error, rate_scale, period):
+    """One extended Kalman filter update of all neurons (MRAN), within the same bounds as that of the winner."""
+    l, n = inputs.size + 2, memory.counts[NEURONS]
+    if params.unsigned:
+        error = abs(error)
+    b, pb, drift = np.empty(n * l), np.empty(n * l), np.empty(n * l)
+    q = variance_drift(params, rate_scale, period)
+    for k in range(n):
+        gradient(memory, k, inputs, b[k * l : (k + 1) * l])
+        drift[k * l : (k + 1) * l] = q * params.shape_gain
+        drift[k * l] = q
+    s = joint_update(joint, b, drift, pb)
+    for k in range(n):
+        first = k * l
+        _move(params, memory, k, pb[first : first + l], s, error)
+        memory.covariance[k] = joint[first : first + l, first : first + l]
+
+
+@njit
+def _update(params, memory, joint, k, inputs, error, rate_scale, period):
+    """Correct the winner k, or all neurons where the network has a joint covariance."""
+    if joint is not None:
+        _correct_all(params, memory, joint, inputs, error, rate_scale, period)
+    else:
+        _correct(params, memory, k, inputs, error, rate_scale, period)
 
 
 @njit
@@ -261,7 +174,8 @@ def learn(params, memory, inputs, error, rate_scale, period):
     Returns:
         True when the sample was used; an empty network that does not grow stays empty all the same.
 
-    Source: paper, Eq. 13-18; Li, Sundararajan, Saratchandran 2000.  Differs: the second test of (13) is on |y_e|.
+    Source: paper, Eq. 13-18; Li, Sundararajan, Saratchandran 2000; MRAN: Lu, Sundararajan, Saratchandran 1997.
+    Differs: the second test of (13) is on |y_e|.
     """
     counts = memory.counts
     memory.errors[counts[SAMPLES] % memory.errors.size] = error
@@ -275,12 +189,12 @@ def learn(params, memory, inputs, error, rate_scale, period):
         counts[RESERVED] += 1
         return False
     counts[LEARNED] += 1
-    k, distance = _winner(memory, inputs)
+    k, distance = winner(memory, inputs)
     new = distance > eps and abs(error) >= params.error_grow and _window_rms(memory) >= params.rms_grow
     if new and counts[NEURONS] < params.neurons_max:
         _grow(params, memory, inputs, error, distance if k >= 0 else eps, rate_scale, period)
     elif k >= 0:
-        _correct(params, memory, k, inputs, error, rate_scale, period)
+        _update(params, memory, memory.joint, k, inputs, error, rate_scale, period)
         _merge(params, memory, k)
     return True
 
@@ -302,20 +216,6 @@ def fade(memory, factor, bias_too):
 
 
 @njit
-def _remove(memory, k):
-    """Drop neuron k; the last one takes its place."""
-    last = memory.counts[NEURONS] - 1
-    if k != last:
-        memory.centers[k] = memory.centers[last]
-        memory.widths[k] = memory.widths[last]
-        memory.weights[k] = memory.weights[last]
-        memory.covariance[k] = memory.covariance[last]
-        memory.idle[k] = memory.idle[last]
-        memory.age[k] = memory.age[last]
-    memory.counts[NEURONS] = last
-
-
-@njit
 def prune(params, memory, inputs):
     """Remove neurons that for `prune_samples` samples in a row gave less than `prune_share` of the largest one.
 
@@ -331,7 +231,7 @@ def prune(params, memory, inputs):
         memory.idle[k] = memory.idle[k] + 1 if share < params.prune_share * largest else 0
         idle_long = memory.idle[k] >= params.prune_samples and memory.age[k] > params.prune_samples
         if idle_long and largest > SILENT and counts[NEURONS] > 1:
-            _remove(memory, k)
+            remove(memory, k)
             counts[PRUNED] += 1
 
 
@@ -368,6 +268,7 @@ def _merge(params, memory, k):
     for i in range(l):
         for j in range(l):
             memory.covariance[k, i, j] = 0.5 * (memory.covariance[k, i, j] + memory.covariance[best, i, j])
+    blend_blocks(memory.joint, k, best, l, memory.counts[NEURONS])
     memory.idle[k] = 0
-    _remove(memory, best)
+    remove(memory, best)
     memory.counts[MERGED] += 1

@@ -1,8 +1,13 @@
-"""Stanley path tracking."""
+"""Stanley path tracking: the two terms of Eq. 22, and the full law of Hoffmann et al."""
 
 import math
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
 
 from emran_sumo.kernels import njit
+from emran_sumo.plant.tire import axle_stiffness
+from emran_sumo.units import Unit
 
 
 @njit
@@ -24,3 +29,48 @@ def stanley(gain, softening, cross_track_error, heading_error, speed):
     Source: paper, Eq. 22; Hoffmann et al. 2007.  Differs: k_s added for low speed.
     """
     return heading_error + math.atan(gain * cross_track_error / (softening + max(speed, 0.1)))
+
+
+class HoffmannParams(NamedTuple):
+    """The full Stanley law: k, k_s, and how much yaw rate and steering rate are damped (k_d,yaw, k_d,steer)."""
+
+    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 2.5
+    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 1.0
+    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.1
+    steer_damping: Annotated[float, Field(ge=0, le=20), Unit("-")] = 0.2
+
+
+class HoffmannMemory(NamedTuple):
+    """Road-wheel angle measured at the last call [rad]."""
+
+    steer: float
+
+
+@njit
+def full_stanley(params, memory, vehicle, state, cross_track_error, heading_error, curvature):
+    """Stanley with steady-state yaw and the damping of yaw rate and steering.
+
+        delta = psi_e + psi_ss + atan(k e / (k_s + v)) + k_yaw (kappa v - r) + k_steer (delta_i - delta_i+1)
+        psi_ss = m v^2 kappa / (C_f (1 + l_f / l_r))
+
+    Args:
+        params: HoffmannParams.
+        memory: HoffmannMemory of the last call.
+        vehicle: VehicleParams the law believes in.
+        state: VehicleState (speed, yaw rate and measured steering angle are used).
+        cross_track_error, heading_error: at the front axle [m], [rad].
+        curvature: kappa [1/m] of the path there.
+
+    Returns:
+        (road-wheel angle [rad], not yet limited; HoffmannMemory)
+
+    Source: Hoffmann, Tomlin, Montemerlo, Thrun 2007.  Differs: signs for errors path minus vehicle, where psi_ss is
+    the slip angle of the front axle in the bend and adds; k_s + v in place of v, as there for low speed.
+    """
+    v = max(state.speed_long, 0.0)
+    slip = vehicle.mass * v * v * curvature / axle_stiffness(vehicle.tire, False)
+    slip /= 1.0 + vehicle.front_axle / vehicle.rear_axle
+    angle = stanley(params.gain, params.softening, cross_track_error, heading_error + slip, v)
+    angle += params.yaw_damping * (curvature * v - state.yaw_rate)
+    angle += params.steer_damping * (memory.steer - state.steer)
+    return angle, HoffmannMemory(state.steer)

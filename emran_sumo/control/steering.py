@@ -1,31 +1,39 @@
-"""Path tracking: Stanley alone, or in the full scheme with tire-inverse feed-forward, preview and EMRAN."""
+"""Path tracking: Stanley alone or in the full scheme with feed-forward and preview, other laws, EMRAN beside any."""
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from emran_sumo.control.adrc import AdrcMemory, AdrcParams, blank_adrc, flat_adrc, percussion_arm
 from emran_sumo.control.emran import EmranParams, fade, learn, learn_bias, predict, prune
-from emran_sumo.control.stanley import stanley
+from emran_sumo.control.fuzzy import FuzzyMemory, FuzzyParams, blank_fuzzy, fuzzy_pid
+from emran_sumo.control.lqr import LqPreviewParams, LqrGains, LqrParams, lqr, lqr_gains
+from emran_sumo.control.stanley import HoffmannMemory, HoffmannParams, full_stanley, stanley
 from emran_sumo.kernels import njit
-from emran_sumo.path import mean_curvature, nearest, tracking_errors
-from emran_sumo.plant.records import GRAVITY
-from emran_sumo.plant.tire import slip_angle_for_force
+from emran_sumo.path import interpolate, mean_curvature, nearest, tracking_errors
+from emran_sumo.plant.records import GRAVITY, VehicleParams, VehicleState
+from emran_sumo.plant.tire import axle_stiffness, slip_angle_for_force
 from emran_sumo.units import Unit
 
 INPUTS = 4  # cross-track error, heading error, lateral speed, yaw rate
 LEARNING_SPEED = 2.0  # m/s: below it the course is not defined well enough to learn from
 SLOWEST_SCALED = 7.5  # m/s: learning rates grow no further below this speed
 
+Law = Literal["stanley", "hoffmann", "adrc", "lqr", "lq_preview", "t2fnn"]
+
 
 class SteeringParams(NamedTuple):
     """The lateral law and its network.
 
-    With `feedforward` off Eq. 22 acts alone, on the errors of the front axle: the paper's baseline. Its network then
-    learns the paper's own signal delta_s + K_2 e_y + K_3 e_psi from the raw inputs y, psi, v_y and r.
+    `law` says who steers; the section of its name holds its parameters, and those of this section are for Stanley, the
+    network and the guards.  With `feedforward` off Eq. 22 acts alone, on the errors of the front axle: the paper's
+    baseline. Its network then learns the paper's own signal delta_s + K_2 e_y + K_3 e_psi from the raw inputs y, psi,
+    v_y and r. Other laws do not read `feedforward`.
     """
 
+    law: Law = "stanley"
     feedforward: Annotated[bool, Unit("on/off")] = True
     K_2: Annotated[float, Field(ge=-5, le=5), Unit("rad/m")] = 0.0
     K_3: Annotated[float, Field(ge=-5, le=5), Unit("-")] = 0.0
@@ -54,12 +62,25 @@ class SteeringParams(NamedTuple):
     cut_smoothness: Annotated[float, Field(ge=0, le=1e4), Unit("m^2")] = 100.0
     cut_max: Annotated[float, Field(ge=0, le=1), Unit("m at 10 m/s")] = 0.04
     emran: EmranParams = EmranParams()
+    hoffmann: HoffmannParams = HoffmannParams()
+    adrc: AdrcParams = AdrcParams()
+    lqr: LqrParams = LqrParams()
+    lq_preview: LqPreviewParams = LqPreviewParams()
+    t2fnn: FuzzyParams = FuzzyParams()
 
 
 class SteeringMemory(NamedTuple):
-    """Smoothed output of the network [rad]."""
+    """Smoothed output of the network [rad], and what the law remembers.
 
-    smoothed: float
+    The one that is not None says which law steers; Stanley remembers nothing.  Kernels know it when they are compiled:
+    a law costs nothing in runs under another one.
+    """
+
+    smoothed: float = 0.0
+    hoffmann: HoffmannMemory | None = None
+    adrc: AdrcMemory | None = None
+    lqr: LqrGains | None = None
+    t2fnn: FuzzyMemory | None = None
 
 
 class SteeringCommand(NamedTuple):
@@ -70,6 +91,39 @@ class SteeringCommand(NamedTuple):
     network: float
     signal: float
     learned: bool
+
+
+def blank_steering(
+    params: SteeringParams, vehicle: VehicleParams, state: VehicleState, period: float
+) -> SteeringMemory:
+    """Memory of a law that takes over a vehicle: what it knows before its first step.
+
+    Args:
+        params: SteeringParams.
+        vehicle: VehicleParams the law believes in.
+        state: VehicleState at the take-over.
+        period: control period [s].
+    """
+    match params.law:
+        case "stanley":
+            return SteeringMemory()
+        case "hoffmann":
+            return SteeringMemory(hoffmann=HoffmannMemory(state.steer))
+        case "adrc":
+            return SteeringMemory(adrc=blank_adrc())
+        case "lqr":
+            return SteeringMemory(lqr=lqr_gains(params.lqr, vehicle, period))
+        case "lq_preview":
+            return SteeringMemory(lqr=lqr_gains(params.lq_preview, vehicle, period))
+        case "t2fnn":
+            return SteeringMemory(t2fnn=blank_fuzzy(params.t2fnn))
+    raise AssertionError(f"no law {params.law}: the record is one that was made for kernels")
+
+
+def compiled_view(params: SteeringParams) -> SteeringParams:
+    """The record as kernels take it: without text and without the sections of other laws, which would cost time."""
+    own = {"hoffmann", "adrc", "lqr", "lq_preview", "t2fnn"} - {params.law}
+    return params._replace(law=None, **dict.fromkeys(own))
 
 
 @njit
@@ -88,11 +142,10 @@ def cornering_slip(params, vehicle, lateral_accel, rear):
     """
     load = static_load(vehicle, rear)
     tire = vehicle.tire
-    one = tire.cornering_stiffness_rear if rear else tire.cornering_stiffness_front
     return slip_angle_for_force(
         load / GRAVITY * lateral_accel,
         load,
-        tire.tires_per_axle * one,
+        axle_stiffness(tire, rear),
         tire.sliding_gain,
         tire.sliding_decay,
         params.friction_estimate,
@@ -108,6 +161,8 @@ def _preview(params, speed, time):
 @njit
 def track(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period):
     """Steering command that makes the vehicle follow the path.
+
+    Under Stanley; the other laws stand in modules of their own.
 
         delta = delta_ff + delta_fb + delta_nn                                                       (21)
         delta_ff = L kappa + alpha_f*(v^2 kappa) - alpha_r*(v^2 kappa)     tire inverse alpha*, previewed kappa
@@ -131,18 +186,77 @@ def track(params, network, vehicle, memory, state, path, point, cross_track_erro
     Source: paper, section III-C, Eq. 21-22.  Differs: the paper learns delta_s + K e, which is not zero on a bent path
     (the heading error must carry the side slip), so that learning trades path for heading error; the course error is.
     """
+    return _by_law(
+        params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period,
+        memory.hoffmann, memory.adrc, memory.lqr, memory.t2fnn,
+    )  # fmt: skip
+
+
+@njit
+def _by_law(
+    params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period,
+    hoffmann, adrc, gains, t2fnn,
+):  # fmt: skip
+    """The law whose memory is not None; the other branches are not compiled."""
+    cross_track, heading, kappa = cross_track_error, heading_error, point.curvature
+    if hoffmann is not None:
+        front, e, psi = _beside(vehicle.front_axle, state, path, point)
+        law, after = full_stanley(params.hoffmann, hoffmann, vehicle, state, e, psi, front.curvature)
+        memory = SteeringMemory(memory.smoothed, after, None, None, None)
+        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+    if adrc is not None:
+        there, e, psi = _beside(percussion_arm(vehicle), state, path, point)
+        ahead = there.position + params.adrc.preview * max(state.speed_long, 0.0)
+        ahead = interpolate(path.curvature, path, ahead)
+        law, after = flat_adrc(params.adrc, adrc, vehicle, state, e, psi, there.curvature, ahead, period)
+        memory = SteeringMemory(memory.smoothed, None, after, None, None)
+        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+    if gains is not None:
+        law = lqr(gains, vehicle, state, path, point.position, cross_track, heading, kappa, period)
+        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+    if t2fnn is not None:
+        _, slip = _slip(vehicle, state)
+        law, after = fuzzy_pid(
+            params.t2fnn, t2fnn, vehicle, state, cross_track, heading, kappa, slip, params.guard, period
+        )
+        memory = SteeringMemory(memory.smoothed, None, None, None, after)
+        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
     if params.feedforward:
-        return _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period)
+        law = _law(params, vehicle, state, path, point, cross_track, heading)
+        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
     return _plain(params, network, vehicle, memory, state, path, point, period)
+
+
+@njit
+def _with_network(params, network, vehicle, memory, state, cross_track, heading_error, law, period):
+    """Any law beside the network, which learns at the point `reference_ahead` of the center of gravity."""
+    cross_track = cross_track + params.reference_ahead * math.sin(heading_error)
+    return aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period)
+
+
+@njit
+def _slip(vehicle, state):
+    """Course of the front axle against the body, and the larger slip angle of both axles [rad]."""
+    safe = max(state.speed_long, 0.1)
+    front = math.atan2(state.speed_lat + vehicle.front_axle * state.yaw_rate, safe)
+    rear = math.atan2(state.speed_lat - vehicle.rear_axle * state.yaw_rate, safe)
+    return front, max(abs(front - state.steer), abs(rear))
+
+
+@njit
+def _beside(ahead, state, path, point):
+    """Point of the path nearest to the one `ahead` [m] of the center of gravity, and the errors there."""
+    x = state.x + ahead * math.cos(state.yaw)
+    y = state.y + ahead * math.sin(state.yaw)
+    there = nearest(path, x, y, point.position + ahead)
+    cross_track, heading = tracking_errors(there, x, y, state.yaw)
+    return there, cross_track, heading
 
 
 @njit
 def _plain(params, network, vehicle, memory, state, path, point, period):
     """The paper's own scheme: Stanley at the front axle, and a network that learns delta_s + K e."""
-    x = state.x + vehicle.front_axle * math.cos(state.yaw)
-    y = state.y + vehicle.front_axle * math.sin(state.yaw)
-    front = nearest(path, x, y, point.position + vehicle.front_axle)
-    cross_track, heading = tracking_errors(front, x, y, state.yaw)
+    _, cross_track, heading = _beside(vehicle.front_axle, state, path, point)
     law = stanley(params.gain, params.softening, cross_track, heading, state.speed_long)
     emran = params.emran
     if emran.authority <= 0.0:
@@ -164,6 +278,7 @@ def _plain(params, network, vehicle, memory, state, path, point, period):
 @njit
 def _law(params, vehicle, state, path, point, cross_track_error, heading_error):
     """Feed-forward and feedback of the full scheme [rad]."""
+    cross_track_error = cross_track_error + params.reference_ahead * math.sin(heading_error)
     v = max(state.speed_long, 0.0)
     window = params.preview_window * v
     ahead = point.position + _preview(params, v, params.preview_feedforward)
@@ -178,13 +293,6 @@ def _law(params, vehicle, state, path, point, cross_track_error, heading_error):
     side_slip = vehicle.rear_axle * kappa_fb - rear_fb + params.reference_ahead * kappa_fb
     feedback = stanley(params.gain, params.softening, cross_track_error, heading_error - side_slip, v)
     return feedforward + feedback + params.yaw_damping * (kappa_fb * v - state.yaw_rate)
-
-
-@njit
-def _full(params, network, vehicle, memory, state, path, point, cross_track_error, heading_error, period):
-    cross_track = cross_track_error + params.reference_ahead * math.sin(heading_error)
-    law = _law(params, vehicle, state, path, point, cross_track, heading_error)
-    return aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period)
 
 
 @njit
@@ -211,9 +319,7 @@ def aided(params, network, vehicle, memory, state, cross_track, heading_error, l
     safe = max(v, 0.1)
     course = math.atan2(state.speed_lat + a * state.yaw_rate, safe)
     signal = stanley(params.gain, params.softening, cross_track, heading_error - course, v)
-    front = math.atan2(state.speed_lat + vehicle.front_axle * state.yaw_rate, safe)
-    rear = math.atan2(state.speed_lat - vehicle.rear_axle * state.yaw_rate, safe)
-    slip = max(abs(front - state.steer), abs(rear))
+    front, slip = _slip(vehicle, state)
     learned, smoothed, part = False, 0.0, 0.0
     if emran.authority > 0.0:
         inputs = np.empty(INPUTS)
@@ -229,7 +335,8 @@ def aided(params, network, vehicle, memory, state, cross_track, heading_error, l
     total = law + part
     # beyond the peak of the tire more steering gives less force
     total = min(max(total, front - params.slip_limit), front + params.slip_limit)
-    return SteeringCommand(_limited(vehicle, total), law, part, signal, learned), SteeringMemory(smoothed)
+    memory = SteeringMemory(smoothed, memory.hoffmann, memory.adrc, memory.lqr, memory.t2fnn)
+    return SteeringCommand(_limited(vehicle, total), law, part, signal, learned), memory
 
 
 @njit

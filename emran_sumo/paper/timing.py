@@ -82,7 +82,7 @@ def _drive(scenario: Scenario, periods: int, calls: int) -> tuple[np.ndarray, in
     followed = conditioned(path, lateral, scenario.vehicle, speed) if lateral.conditioning else path
     begin = point_at(path, LEAD_IN)
     car = rolling_start(scenario.vehicle, speed, begin.x, begin.y, begin.yaw)
-    state = start(scenario.vehicle, car, LEAD_IN, scenario.longitudinal.feedforward)
+    state = start(scenario.vehicle, scenario.longitudinal, scenario.lateral, car, LEAD_IN, scenario.rates.control_step)
     nets, seconds, most = blank_networks(scenario.control), np.zeros(calls), 0
     size = periods // calls
     speeds, accels, noise = np.full(size + 1, speed), np.zeros(size), np.zeros((size, CHANNELS))

@@ -30,6 +30,13 @@ class TireParams(NamedTuple):
 
 
 @njit
+def axle_stiffness(tire, rear):
+    """Cornering stiffness of one axle at zero slip [N/rad]."""
+    one = tire.cornering_stiffness_rear if rear else tire.cornering_stiffness_front
+    return tire.tires_per_axle * one
+
+
+@njit
 def tire_forces(
     longitudinal_stiffness,
     cornering_stiffness,
