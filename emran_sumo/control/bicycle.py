@@ -44,7 +44,7 @@ def bicycle(vehicle, speed):
 def steady_turn(vehicle, speed):
     """Side slip angle and road-wheel angle of a bend, both per curvature [rad m].
 
-        beta / kappa = l_r - l_f m v^2 / (L C_r),   delta / kappa = L + m v^2 (l_r / C_f - l_f / C_r) / L
+    beta / kappa = l_r - l_f m v^2 / (L C_r),   delta / kappa = L + m v^2 (l_r / C_f - l_f / C_r) / L
     """
     front, rear = axle_stiffness(vehicle.tire, False), axle_stiffness(vehicle.tire, True)
     a, b = vehicle.front_axle, vehicle.rear_axle
