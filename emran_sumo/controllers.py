@@ -6,7 +6,7 @@ _PLAIN_LATERAL = {
     "lateral.softening": 0.0,
     "lateral.emran.authority": 0.0,
 }
-_NO_NETWORKS = {"longitudinal.emran.authority": 0.0, "lateral.emran.authority": 0.0}
+_NO_NETWORKS: dict[str, object] = {"longitudinal.emran.authority": 0.0, "lateral.emran.authority": 0.0}
 _PLAIN_LONGITUDINAL = {"longitudinal.feedforward": False, "longitudinal.emran.authority": 0.0}
 
 DEFAULT = "coupled-emran"

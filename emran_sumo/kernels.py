@@ -46,11 +46,11 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 njit = numba.njit(cache=True)
 
 
-def compiled_before() -> bool:
-    """Whether a complete set of kernels lies in the cache (see `mark_compiled`)."""
-    return (CACHE_FOLDER / "compiled").exists() or bool(getattr(config, "DISABLE_JIT", 0))
+def compiled_before(which: str = "") -> bool:
+    """Whether a complete set of kernels, or the set named so, lies in the cache (see `mark_compiled`)."""
+    return (CACHE_FOLDER / f"compiled{which}").exists() or bool(getattr(config, "DISABLE_JIT", 0))
 
 
-def mark_compiled() -> None:
-    """Remember that every kernel of this version has been compiled."""
-    (CACHE_FOLDER / "compiled").touch()
+def mark_compiled(which: str = "") -> None:
+    """Remember that every kernel of this version, or of the set named so, has been compiled."""
+    (CACHE_FOLDER / f"compiled{which}").touch()

@@ -14,9 +14,17 @@ from emran_sumo.scenario import Scenario
 Progress = Callable[[str, float, float], None]  # phase, seconds done, seconds in all
 
 
+def kernel_set(scenario: Scenario) -> str:
+    """Name of the set of kernels that a run needs: each law is compiled when it is first used; "" is Stanley's."""
+    law = scenario.lateral.law.replace("lq_preview", "lqr")
+    parts = [law] if law != "stanley" else []
+    parts += [half for half in ("longitudinal", "lateral") if getattr(scenario, half).emran.all_neurons]
+    return "".join(f"-{part}" for part in parts)
+
+
 def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> None:
     """Compile or load every kernel of a run by driving a tenth of a second on a straight line."""
-    if not kernels.compiled_before():
+    if not kernels.compiled_before(kernel_set(scenario)):
         progress("compile", 0.0, 0.0)
     n = 400
     line = np.arange(n) * 0.25
@@ -33,4 +41,4 @@ def warm_kernels(scenario: Scenario, progress: Progress = lambda *_: None) -> No
     project(track, np.ones(1), np.ones(1), 5.0, 10.0)
     nearest(track, 1.0, 1.0, point_at(track, 5.0).position)
     interpolate(track.x, track, 5.0)
-    kernels.mark_compiled()
+    kernels.mark_compiled(kernel_set(scenario))

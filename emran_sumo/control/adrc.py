@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
+from emran_sumo.control.bicycle import steady_turn
 from emran_sumo.control.stanley import stanley
 from emran_sumo.kernels import njit
 from emran_sumo.plant.tire import axle_stiffness
@@ -26,15 +27,15 @@ class AdrcParams(NamedTuple):
     tracking differentiator leads an offset back to the path.  preview: how far ahead the curvature is read.
     """
 
-    control_bandwidth: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 4.0
-    observer_bandwidth: Annotated[float, Field(gt=0, le=90), Unit("1/s")] = 16.0
-    error_power: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.75
-    rate_power: Annotated[float, Field(gt=0, le=2), Unit("-")] = 1.25
-    error_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.05
-    rate_zone: Annotated[float, Field(gt=0, le=10), Unit("m/s")] = 0.1
-    estimate_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.05
+    control_bandwidth: Annotated[float, Field(gt=0, le=50), Unit("1/s")] = 3.9697
+    observer_bandwidth: Annotated[float, Field(gt=0, le=90), Unit("1/s")] = 10.337
+    error_power: Annotated[float, Field(gt=0, le=1), Unit("-")] = 0.79625
+    rate_power: Annotated[float, Field(gt=0, le=2), Unit("-")] = 1.4758
+    error_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.11097
+    rate_zone: Annotated[float, Field(gt=0, le=10), Unit("m/s")] = 0.010005
+    estimate_zone: Annotated[float, Field(gt=0, le=10), Unit("m")] = 0.048052
     transition: Annotated[float, Field(gt=0, le=100), Unit("m/s^2")] = 3.0
-    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 0.0
+    preview: Annotated[float, Field(ge=0, le=1), Unit("s")] = 1.2926e-05
 
 
 class AdrcMemory(NamedTuple):
@@ -150,6 +151,7 @@ def flat_adrc(params, memory, vehicle, state, cross_track_error, heading_error, 
     """Steering for the acceleration that ADRC asks of the front center of percussion.
 
         y'' = b_0 (delta - theta_f) - v^2 kappa + f,   b_0 = C_f L / (m l_r),   theta_f = atan2(v_y + l_f r, v)
+        y_r = -(d beta + d^2 / 2) kappa      the place of that point while the center of gravity is on the path
         a = u_0 - z_3 + v^2 kappa
         delta = theta_f + a / b_0 + tau (a / v - r)
 
@@ -181,7 +183,9 @@ def flat_adrc(params, memory, vehicle, state, cross_track_error, heading_error, 
     gain /= vehicle.mass * vehicle.rear_axle
     course = math.atan2(state.speed_lat + vehicle.front_axle * state.yaw_rate, v)
     known = gain * (state.steer - course) - v * v * curvature
-    asked, memory = adrc(params, memory, -cross_track_error, known, period)
+    arm, side_slip = percussion_arm(vehicle), steady_turn(vehicle, v)[0]
+    wanted = -arm * (side_slip + 0.5 * arm) * curvature
+    asked, memory = adrc(params, memory, -cross_track_error - wanted, known, period)
     accel = asked + v * v * ahead
     angle = course + accel / gain + vehicle.steer_lag * (accel / v - state.yaw_rate)
     share = min((v - CREEPING) / (ROLLING - CREEPING), 1.0)

@@ -1,4 +1,4 @@
-"""EKF-T2FNN, a reconstruction: PID with gains from an interval type-2 fuzzy network that an EKF trains, and an observer."""
+"""EKF-T2FNN, a reconstruction: PID with the gains of a type-2 fuzzy network that an EKF trains, and an observer."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -19,7 +19,9 @@ SLOWEST = 2.0  # m/s: below it nothing is learned, integrated or observed
 
 
 class FuzzyParams(NamedTuple):
-    """PID on s = e_y + lookahead e_psi, whose gains are trained; initial values K_P, K_I, K_D of all rules.
+    """PID on s = e_y + lookahead e_psi, e_psi beyond the side slip of the bend, whose gains are trained.
+
+    K_P, K_I, K_D: initial values of all rules.
 
     cross_track_span, heading_span: errors at the outermost fuzzy sets; width and blur: standard deviation of the sets
     and half of the range of their means, both in spans.  variance, drift, noise: P_0, Q, R of the filter; teaching:
@@ -200,8 +202,9 @@ def observe(params, memory, vehicle, state, period):
 
 @njit
 def fuzzy_pid(params, memory, vehicle, state, cross_track_error, heading_error, curvature, slip, guard, period):
-    """PID on s = e_y + c e_psi with the gains of the fuzzy network, beside the bend's angle and the observer's.
+    """PID on s with the gains of the fuzzy network, beside the bend's angle and the one against what was observed.
 
+        s = e_y + c (e_psi + atan(l_r kappa))
         delta = atan(L kappa) + sum_i phi_i (K_P,i s + K_I,i int s + K_D,i ds/dt) - m / C_f W_1' phi
 
     Args:
@@ -218,14 +221,16 @@ def fuzzy_pid(params, memory, vehicle, state, cross_track_error, heading_error, 
         (road-wheel angle [rad], not yet limited; FuzzyMemory)
 
     Source: a reconstruction from the description "type-2 fuzzy neural PID with an EKF-based adaptive observer"
-    (Taghavifar, Hu, Qin, Wei 2020); neither structure nor gains of the original are known here.  Differs: atan(L
-    kappa) is added, without which a PID on errors cannot take a town's corner.
+    (Taghavifar, Hu, Qin, Wei 2020); neither structure nor gains of the original are known here.  Differs: the
+    angle and the side slip of a bend without tire slip are added, without which a PID on errors cannot take a town's
+    corner.
     """
     v = max(state.speed_long, 0.0)
     fired, parts = np.empty(RULES), np.empty(3)
-    firing(params, cross_track_error, heading_error, fired)
+    beyond = heading_error + math.atan(vehicle.rear_axle * curvature)
+    firing(params, cross_track_error, beyond, fired)
     c = params.lookahead
-    parts[0] = cross_track_error + c * heading_error
+    parts[0] = cross_track_error + c * beyond
     parts[2] = v * math.sin(heading_error) - state.speed_lat * math.cos(heading_error)
     parts[2] += c * (v * curvature - state.yaw_rate)
     parts[1] = memory.integral

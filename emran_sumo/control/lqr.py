@@ -24,19 +24,19 @@ class LqrParams(NamedTuple):
     cross_track_rate is the weight of the speed across the path, yaw_rate that of the yaw rate beyond the bend's.
     """
 
-    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 1.0
-    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.1
-    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.5
-    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.2
+    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 2.9269
+    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.011684
+    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.010008
+    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.072927
 
 
 class LqPreviewParams(NamedTuple):
     """The weights of LqrParams, and how far ahead the curvature is seen."""
 
-    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 1.0
-    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.1
-    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.5
-    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.2
+    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 1.9987
+    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.0010023
+    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.010002
+    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.0010023
     horizon: Annotated[float, Field(ge=0, le=3), Unit("s")] = 1.0
 
 

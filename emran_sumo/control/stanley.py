@@ -34,10 +34,10 @@ def stanley(gain, softening, cross_track_error, heading_error, speed):
 class HoffmannParams(NamedTuple):
     """The full Stanley law: k, k_s, and how much yaw rate and steering rate are damped (k_d,yaw, k_d,steer)."""
 
-    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 2.5
-    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 1.0
-    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.1
-    steer_damping: Annotated[float, Field(ge=0, le=20), Unit("-")] = 0.2
+    gain: Annotated[float, Field(ge=0, le=50), Unit("1/s")] = 1.3408
+    softening: Annotated[float, Field(ge=0, le=50), Unit("m/s")] = 3.9883
+    yaw_damping: Annotated[float, Field(ge=0, le=2), Unit("s")] = 0.013866
+    steer_damping: Annotated[float, Field(ge=0, le=20), Unit("-")] = 0.00042139
 
 
 class HoffmannMemory(NamedTuple):

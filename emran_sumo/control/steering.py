@@ -121,9 +121,9 @@ def blank_steering(
 
 
 def compiled_view(params: SteeringParams) -> SteeringParams:
-    """The record as kernels take it: without text and without the sections of other laws, which would cost time."""
-    own = {"hoffmann", "adrc", "lqr", "lq_preview", "t2fnn"} - {params.law}
-    return params._replace(law=None, **dict.fromkeys(own))
+    """The record as kernels take it: without text and without the sections that they do not read, which cost time."""
+    unread = {"hoffmann", "adrc", "t2fnn"} - {params.law} | {"lqr", "lq_preview"}
+    return params._replace(law=None, **dict.fromkeys(unread))
 
 
 @njit

@@ -133,7 +133,7 @@ class _Session:
     def __init__(
         self, store: Store, of: Plan, runs: list[Run], located: list[Located], now: dict[str, str], told: Told
     ) -> None:
-        self.store, self.plan, self.runs, self.first, self.identity = store, of, runs, located[0], now
+        self.store, self.plan, self.runs, self.located, self.identity = store, of, runs, located, now
         self.limit = of.timeout or max(map(automatic_timeout, located))
         self.told = told
         self.scratch = store.manifest()["scratch"]
@@ -146,7 +146,7 @@ class _Session:
             return
         shutil.rmtree(scratch_folder(self.scratch), ignore_errors=True)  # of a session that was killed
         with stoppable():
-            pool = open_pool(settings, self.store.folder / "workers.log", self.first, lambda: self._say("compiling"))
+            pool = open_pool(settings, self.store.folder / "workers.log", self.located, lambda: self._say("compiling"))
             try:
                 self._say("driving")
                 for outcome, tries in outcomes(pool, (self._task(run) for run in waiting)):
@@ -210,19 +210,19 @@ def automatic_timeout(located: Located) -> float:
     return 120.0 + 20.0 * (located.values.warm_up + located.values.duration)
 
 
-def open_pool(settings: Settings, log: Path, first: Located, told: Callable[[], None]) -> Pool:
+def open_pool(settings: Settings, log: Path, located: list[Located], told: Callable[[], None]) -> Pool:
     """The cluster, or processes of this machine with their kernels compiled once, here."""
     if settings.dask:
         from emran_sumo.study.cluster import ClusterPool
 
         return ClusterPool(settings.dask)
-    from emran_sumo import kernels
+    from emran_sumo import kernels, warm
 
-    if not kernels.compiled_before():
-        from emran_sumo import warm
-
-        told()
-        warm.warm_kernels(first.values)
+    kinds = {warm.kernel_set(one.values): one.values for one in located}
+    for name, scenario in kinds.items():
+        if not kernels.compiled_before(name):
+            told()
+            warm.warm_kernels(scenario)
     return LocalPool(settings.processes(), log)
 
 

@@ -48,7 +48,7 @@ def estimate(of: Plan, settings: Settings) -> Size:
     limit = of.timeout or max(map(automatic_timeout, located))
     tasks = [Task(r.key, r.scenario, r.given, now, limit, recorded, scratch) for r in tried[::step]]
     with tempfile.TemporaryDirectory() as folder, stoppable():
-        pool = open_pool(settings._replace(workers=1), Path(folder) / "log", located[0], lambda: None)
+        pool = open_pool(settings._replace(workers=1), Path(folder) / "log", located, lambda: None)
         try:
             found = [outcome for outcome, _ in outcomes(pool, iter(tasks))]
             workers = pool.room // 2 if settings.dask else settings.processes()
