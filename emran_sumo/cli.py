@@ -165,7 +165,7 @@ def tune(
 def paper(
     table: Annotated[
         list[str] | None,
-        typer.Argument(help="III to IX, XI, blind, memory, timing; all but timing by default."),
+        typer.Argument(help="III to IX, XI, XII, add-on, blind, memory, timing; all but timing by default."),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write every cell to this file.")] = None,
     literal: Annotated[
@@ -176,14 +176,19 @@ def paper(
     markdown: Annotated[
         Path | None, typer.Option(help="Write the whole document, in all conditions, to this file instead.")
     ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Draw the paper's figures into this folder instead: PNG, SVG and an .rrd."),
+    ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; as many as cores by default.")] = None,
 ) -> None:
-    """Recompute the tables of the paper on this plant, beside the published numbers."""
+    """Recompute the tables and figures of the paper on this plant, beside the published numbers."""
     from emran_sumo.paper.command import paper as recompute
 
     recompute(
-        table or [], json_file=json_file, markdown=markdown, literal=literal, noise=noise, delay=delay, workers=workers
-    )
+        table or [], json_file=json_file, markdown=markdown, literal=literal, noise=noise, delay=delay,
+        figures=figures, workers=workers,
+    )  # fmt: skip
 
 
 def _live_viewer(no_record: bool) -> str:

@@ -5,13 +5,16 @@ import numpy as np
 import pytest
 
 from emran_sumo.bench import drive_track, scores
+from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.errors import UserError
 from emran_sumo.paper import memory, tables, timing
-from emran_sumo.paper.cases import ACCURACY, BLIND, MAIN, TABLES, compared, dlc, published
+from emran_sumo.paper.cases import ACCURACY, ADD_ON, BLIND, MAIN, TABLES, compared, dlc, printed_rows, published
 from emran_sumo.paper.command import paper
 from emran_sumo.paper.document import document, sheet_text
-from emran_sumo.paper.layout import Line, Sheet, sheets
-from emran_sumo.paper.rows import literal_rows, rows
+from emran_sumo.paper.layout import sheets
+from emran_sumo.paper.overview import GLANCE, overview_sheet
+from emran_sumo.paper.rows import OWN, PLAIN, literal_rows, other_rows, pairs, rows
+from emran_sumo.paper.sheet import Line, Sheet
 from emran_sumo.paper.tables import Condition
 from emran_sumo.scenario import build, keys
 
@@ -52,6 +55,15 @@ def test_table_viii_is_compared_with_the_lowest_cells_of_both_rows_with_emran():
     assert compared(published()["tables"]["VIII"], True) == (0.0943, 0.2968, 0.0304, 0.1168)
 
 
+def test_table_xii_names_the_rows_that_are_not_runs_of_the_authors():
+    table = published()["tables"]["XII"]
+    assert table["quoted"] == ["EKF-T2FNN", "ADRC"]
+    assert printed_rows(table)["EKF-T2FNN"] == (0.0587, 0.0685, 0.0050, 0.0089)
+    assert printed_rows(table)["ADRC"] == (0.2207, 0.5593, 0.0178, 0.0363)
+    assert printed_rows(table)["Stanley-EMRAN"] == printed_rows(published()["tables"]["VI"])["Stanley-EMRAN"]
+    assert compared(table, False) == compared(table, True) == printed_rows(table)["Stanley-EMRAN"]
+
+
 # ---------------------------------------------------------------- cases and rows
 
 
@@ -63,6 +75,27 @@ def test_every_case_and_row_consists_of_scenario_keys():
                 given = {**case.given, **case.draws[-1], **tables.NOISE, **row.given}
                 assert set(given) <= set(known)
                 build(given)
+
+
+def test_every_controller_has_a_row_of_its_own_or_drives_like_one():
+    for half in ("lateral", "longitudinal"):
+        drive = [getattr(build(row.given), half) for row in rows(half)]
+        assert all(getattr(build({"controller": name}), half) in drive for name in CONTROLLERS)
+        others = other_rows(half)
+        assert {row.name for row in others} <= set(CONTROLLERS)
+        assert len({row.name for row in rows(half)}) == len(rows(half))
+
+
+def test_pairs_differ_in_the_network_alone():
+    listed = {row.name: row for row in pairs()}
+    assert {PLAIN.name, OWN, ACCURACY} <= set(listed)
+    for row in listed.values():
+        alone, aided = build(listed[row.unaided].given), build(row.given)
+        assert alone.lateral.emran.authority == 0.0
+        assert aided.lateral.emran.authority == float(row.unaided != row.name)
+        assert alone.lateral._replace(emran=aided.lateral.emran, K_2=0.0, K_3=0.0) == aided.lateral._replace(
+            K_2=0.0, K_3=0.0
+        )
 
 
 def test_unaided_rows_are_rows():
@@ -105,7 +138,7 @@ def test_words_for_tables_are_checked():
 def test_files_and_words_that_cannot_be_are_one_sentence(tmp_path):
     with pytest.raises(UserError, match=r"^--json: found .*; accepted is a file in a folder that exists\.$"):
         paper(["VI"], json_file=tmp_path / "nowhere" / "cells.json")
-    with pytest.raises(UserError, match=r"^--literal: accepted with the tables III to IX, XI and blind"):
+    with pytest.raises(UserError, match=r"^--literal: accepted with the tables III to IX, XI, XII and blind"):
         paper(["memory"], literal=True)
 
 
@@ -206,6 +239,43 @@ def test_sheets_show_published_numbers_and_ratio(lane_change):
     assert float(ratio) == pytest.approx(float(ours) / 0.0683, abs=0.01)
     widest = [max(len(line.cells[i]) for line in sheet.lines if i < len(line.cells)) for i in range(8)]
     assert sum(np.array(widest) + 1) <= 120
+
+
+def test_table_xii_shows_which_rows_are_quoted():
+    (sheet,) = sheets(
+        tables.driven_tables(["XII"]), tables.results(tables.driven_tables(["XII"]), QUIET, False, 1), QUIET
+    )
+    names = [line.cells[0] for line in sheet.lines]
+    assert {"quoted EKF-T2FNN", "quoted ADRC", "published Stanley-EMRAN"} <= set(names)
+    assert any("taken" in remark or "literature" in remark for remark in sheet.remarks)
+
+
+def test_the_add_on_table_says_what_the_network_changes():
+    table = ADD_ON["add-on"]._replace(cases=ADD_ON["add-on"].cases[:1])
+    found = tables.results({"add-on": table}, QUIET, False, 1)
+    (sheet,) = sheets({"add-on": table}, found, QUIET)
+    lines = {line.cells[0]: line for line in sheet.lines}
+    by_row = {result.row.name: result.values for result in found}
+    alone, aided = by_row["coupled-base, accuracy mode"], by_row[ACCURACY]
+    change = 100.0 * (aided["cross_track_error_rms"] / alone["cross_track_error_rms"] - 1.0)
+    assert lines["coupled-base, accuracy mode"].cells[3] == f"{change:+.0f} %"
+    assert change < -50.0
+    assert lines["coupled-base, accuracy mode"].good[2]
+    assert len(lines) == 1 + len(pairs()) // 2
+
+
+def test_the_glance_needs_every_lateral_table(lane_change):
+    assert overview_sheet(lane_change, QUIET) is None
+    found = [
+        result._replace(table=table, case=result.case._replace(name=case, draws=(({},) * (1 + view))))
+        for table, case, view in GLANCE.values()
+        for result in lane_change
+    ]
+    sheet = overview_sheet(found, QUIET)
+    assert sheet is not None
+    cells = next(line.cells for line in sheet.lines if line.cells[0] == MAIN)
+    value = next(r for r in lane_change if r.row.name == MAIN).values["cross_track_error_rms"]
+    assert float(cells[1].split()[0]) == pytest.approx(1e3 * value, abs=0.06)
 
 
 def test_markdown_marks_what_beats_the_paper():

@@ -51,19 +51,25 @@ def published() -> dict[str, Any]:
     return tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
 
 
+def printed_rows(table: dict[str, Any]) -> dict[str, tuple[float, ...]]:
+    """Row name -> cells of one of published()["tables"]."""
+    return {name: tuple(cells) for name, cells in table.items() if name not in ("compared", "quoted")}
+
+
 def compared(table: dict[str, Any], aided: bool) -> tuple[float, ...]:
-    """Published cells that a row is held against: the row named by `compared`, or the one without EMRAN.
+    """Published cells that a row is held against: the row named by `compared`, or the one without EMRAN, if printed.
 
     Args:
         table: one of published()["tables"].
         aided: whether the row of ours has feed-forward or networks.
     """
-    rows = {name: cells for name, cells in table.items() if name != "compared"}
-    if not aided:
-        return tuple(rows["PID" if "PID" in rows else "Stanley"])
+    rows = printed_rows(table)
+    without = next((rows[name] for name in ("PID", "Stanley") if name in rows), None)
+    if without and not aided:
+        return without
     if table["compared"] == "best":
         return tuple(min(cells) for cells in zip(*(v for n, v in rows.items() if "EMRAN" in n), strict=True))
-    return tuple(rows[table["compared"]])
+    return rows[table["compared"]]
 
 
 def dlc(speed: float, duration: float, **disturbance: float) -> Given:
@@ -119,6 +125,7 @@ def _with(given: Given, friction: float) -> Given:
 FOUR_VI = (0.0218, 0.0462, 0.0089, 0.0256)
 FOUR_VIII = (0.0943, 0.2968, 0.0304, 0.1168)
 FOUR_XI = (0.0223, 0.0554, 0.0089, 0.0263)
+CORNERS = "16 corners"
 SLOW, FAST = "T = 14 s at 10 m/s", "T = 7 s at 20 m/s"
 _GUST = dlc(20.0, 7.0, gust_force=1500.0)
 _SINES = {"mass_amplitude": 0.15, "inertia_amplitude": 0.2, "friction_amplitude": 0.5, "wind_amplitude": 15.0}
@@ -167,7 +174,25 @@ TABLES = {
         "Double lane change at 10 m/s, other mass, yaw inertia and cornering stiffness", "lateral", SLOW,
         tuple(
             Case(name, dlc(10.0, 14.0), {MAIN: FOUR_XI, ACCURACY: (0.006, 0.016, None, None)}, draws)
-            for name, draws in (("16 corners", _corners()), (f"{DRAWS} draws", _draws()))
+            for name, draws in ((CORNERS, _corners()), (f"{DRAWS} draws", _draws()))
+        ),
+    ),
+    "XII": Table(
+        "Double lane change at 10 m/s, against controllers of the literature", "lateral", SLOW,
+        (Case("nominal", dlc(10.0, 14.0), {MAIN: FOUR_VI, ACCURACY: (0.004, 0.012, None, None)}),),
+    ),
+}  # fmt: skip
+
+# Every law alone and with the network beside it
+ADD_ON = {
+    "add-on": Table(
+        "EMRAN as an add-on: every law alone and aided", "lateral", f"{SLOW}, {FAST}",
+        (
+            Case("10 m/s, +1500 N", dlc(10.0, 14.0, lateral_force=1500.0), {}),
+            Case(f"10 m/s, {CORNERS} of table XI", dlc(10.0, 14.0), {}, _corners()),
+            Case("10 m/s, no disturbance", dlc(10.0, 14.0), {}),
+            Case("20 m/s, friction 1.2", _with(dlc(20.0, 7.0), 1.2), {}),
+            Case("20 m/s, friction 1.0", _with(dlc(20.0, 7.0), 1.0), {}),
         ),
     ),
 }  # fmt: skip

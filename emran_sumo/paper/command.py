@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from rich.console import Console
+
 from emran_sumo.errors import UserError
 from emran_sumo.kernels import compiled_before
 from emran_sumo.paper import document, layout, show, tables
@@ -12,9 +14,11 @@ from emran_sumo.paper.timing import HOW, timings
 
 def paper(
     names: list[str], *, json_file: Path | None = None, markdown: Path | None = None, literal: bool = False,
-    noise: bool = False, delay: int = 0, workers: int | None = None,
+    noise: bool = False, delay: int = 0, figures: Path | None = None, workers: int | None = None,
 ) -> None:  # fmt: skip
     """Recompute the tables `names`, or all of them, and print them; see the command line for the rest.
+
+    `markdown` and `figures` are written instead of tables on the terminal; `names` choose whose figures.
 
     Raises:
         UserError: a table or a delay that is none, or a file in no folder.
@@ -25,13 +29,18 @@ def paper(
     how, wanted = tables.condition(noise, delay), tables.chosen(names)
     if markdown and (names or json_file or literal or noise or delay):
         raise UserError("--markdown: writes every table in every condition; accepted without other options.")
-    if literal and len(tables.driven_tables(wanted)) < len(names):
-        raise UserError("--literal: accepted with the tables III to IX, XI and blind.")
+    if figures and (markdown or json_file or literal or noise or delay):
+        raise UserError("--figures: writes the figures instead of the tables; accepted with names of tables alone.")
+    if literal and (len(tables.driven_tables(wanted)) < len(names) or ({*wanted} & {*tables.ADD_ON} and names)):
+        raise UserError("--literal: accepted with the tables III to IX, XI, XII and blind.")
     out = show.console()
     if not compiled_before():
         out.print("compiling the kernels, once per version: about half a minute")
     if markdown:
         markdown.write_text(_whole(workers), encoding="utf-8")
+        return
+    if figures:
+        _draw(figures, names, wanted, out)
         return
     sheets, records = _computed(wanted, how, literal, workers)
     for sheet in sheets:
@@ -39,6 +48,18 @@ def paper(
     if json_file:
         text = json.dumps([record._asdict() for record in records], indent=1)
         json_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _draw(folder: Path, names: list[str], wanted: tuple[str, ...], out: Console) -> None:
+    from emran_sumo.paper.figures import chosen, write_figures
+
+    plates = chosen(wanted if names else ())
+    with show.progress() as bar:
+        task = bar.add_task("driving")
+        files = write_figures(
+            folder, plates, lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+        )
+    out.print(f"{len(plates)} figures as PNG and SVG, {files[-2].name} and {files[-1].name} in {folder}", markup=False)
 
 
 def _computed(

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from emran_sumo.paper.layout import Line, Sheet
+from emran_sumo.paper.sheet import Line, Sheet
 
 HEAD = "<!-- Written by `emran-sumo paper --markdown FILE`. Change the code, not this file. -->\n"
 
@@ -37,6 +37,8 @@ def _cells(line: Line, columns: int) -> list[str]:
     name, *rest = line.cells
     if line.kind == "case":
         return [f"**{name}**", *[""] * (columns - 1)]
+    if line.kind == "group":
+        return [f"*{name}*", *[""] * (columns - 1)]
     if line.kind != "required":
         rest = [f"**{cell}**" if i < len(line.good) and line.good[i] else cell for i, cell in enumerate(rest)]
     return [name, *rest, *[""] * (columns - 1 - len(rest))]

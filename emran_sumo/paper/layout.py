@@ -1,9 +1,10 @@
 """The tables as lines of words, for the terminal and for the document alike."""
 
-from typing import NamedTuple
-
-from emran_sumo.paper.cases import FORCES, Table, published
+from emran_sumo.paper.cases import ADD_ON, FORCES, Table, printed_rows, published
 from emran_sumo.paper.memory import PASSES, Passes
+from emran_sumo.paper.overview import add_on_sheet, overview_sheet
+from emran_sumo.paper.rows import other_rows
+from emran_sumo.paper.sheet import Line, Sheet, sheet_title
 from emran_sumo.paper.tables import (
     Condition,
     Result,
@@ -22,27 +23,15 @@ HEADS = {
 }
 SIDE = ("beats", "command", "neurons", "learned")
 AGAINST = "pid-stanley against the row without EMRAN, all others against "
+OTHERS = {"lateral": "other laws, accuracy mode", "longitudinal": "other networks"}
+QUOTED = (
+    "quoted: the paper prints these two rows from the literature; they are another program's results on another plant, "
+    "not runs of its authors."
+)
 BESIDE = (
     "command: total variation of the command over that of the same law without network; learned: share of the samples "
     "admitted to learning."
 )
-
-
-class Line(NamedTuple):
-    """kind: "case", "published", "ours" or "required"; good: which cells beat what they are held against."""
-
-    kind: str
-    cells: tuple[str, ...]
-    good: tuple[bool, ...] = ()
-
-
-class Sheet(NamedTuple):
-    """A table ready to print: title, column heads, lines, remarks below."""
-
-    title: str
-    heads: tuple[str, ...]
-    lines: tuple[Line, ...]
-    remarks: tuple[str, ...]
 
 
 def sheets(tables: dict[str, Table], found: list[Result], how: Condition) -> list[Sheet]:
@@ -50,15 +39,14 @@ def sheets(tables: dict[str, Table], found: list[Result], how: Condition) -> lis
     listed = []
     for name, table in tables.items():
         mine = [result for result in found if result.table == name]
+        if name in ADD_ON:
+            listed.append(add_on_sheet(table, mine, how))
+            continue
         listed.append(_sheet(name, table, mine, how))
         if any(result.case.sweep for result in mine):
             listed.append(_sweep(name, mine, how))
-    return listed
-
-
-def _title(name: str, text: str, how: Condition) -> str:
-    label = f"Table {name}" if name[0] in "IVX" else name.capitalize()
-    return f"{label}. {text}{f', with {how.name}' if how.name else ''}"
+    every = overview_sheet(found, how)
+    return [*listed, every] if every else listed
 
 
 def _sheet(name: str, table: Table, mine: list[Result], how: Condition) -> Sheet:
@@ -68,23 +56,37 @@ def _sheet(name: str, table: Table, mine: list[Result], how: Condition) -> Sheet
         here = [result for result in mine if result.case.name == case.name]
         for view in range(len(views(here[0]))):
             lines.append(Line("case", (views(here[0])[view][0],)))
-            for row, cells in (printed or {}).items():
-                if row != "compared":
-                    lines.append(Line("published", (f"published {row}", *(f"{cell:.4f}" for cell in cells))))
-            for result in here:
+            lines += _printed(printed or {})
+            others = {row.name for row in other_rows(table.half)}
+            for i, result in enumerate(here):
+                if result.row.name in others and here[i - 1].row.name not in others:
+                    lines.append(Line("group", (OTHERS[table.half],)))
                 lines.append(_ours(result, view, unaided_of(result, here), table))
                 asked = _required(result, table) if view == 0 and not how.name else None
                 lines += [asked] if asked else []
     against = _against(printed)
     remarks = [f"{table.window}. Ratio: {against}", BESIDE]
+    if printed and "quoted" in printed:
+        remarks.append(QUOTED)
     if how.seeds != (1,):
         remarks.append(f"Mean over {len(how.seeds)} seeds of the noise; where there are many cars they take turns.")
-    return Sheet(_title(name, table.title, how), ("", *HEADS[table.half], *SIDE), tuple(lines), tuple(remarks))
+    return Sheet(sheet_title(name, table.title, how), ("", *HEADS[table.half], *SIDE), tuple(lines), tuple(remarks))
+
+
+def _printed(printed: dict) -> list[Line]:
+    quoted = printed.get("quoted", ())
+    rows = printed_rows(printed).items()
+    return [
+        Line("published", (f"{'quoted' if row in quoted else 'published'} {row}", *(f"{cell:.4f}" for cell in cells)))
+        for row, cells in rows
+    ]
 
 
 def _against(printed: dict | None) -> str:
     if printed is None:
         return "to the same law without network."
+    if not {"PID", "Stanley"} & set(printed):
+        return f"ours / published {printed['compared']}."
     best = printed["compared"] == "best"
     return f"ours / published, {AGAINST}{'the lowest cells of those with EMRAN' if best else printed['compared']}."
 
@@ -140,7 +142,7 @@ def _sweep(name: str, mine: list[Result], how: Condition) -> Sheet:
     for row in dict.fromkeys(result.row.name for result in mine):
         forces = (result.values["lost_force"] for result in mine if result.row.name == row)
         lines.append(Line("ours", (row, *(_force(force) for force in forces))))
-    title = _title(name, "The side gust that loses the car [kN], in steps of 0.25 kN", how)
+    title = sheet_title(name, "The side gust that loses the car [kN], in steps of 0.25 kN", how)
     return Sheet(title, ("", *cases), tuple(lines), ("Lost: |e_y| > 6 m, |e_psi| > 0.6 rad.",))
 
 
@@ -201,7 +203,7 @@ def memory_sheet(found: list[Passes], how: Condition) -> Sheet:
         "cruise; the network keeps its frozen values.",
     )
     return Sheet(
-        _title("memory", "A network against an observer over repeated passes", how), heads, tuple(lines), remarks
+        sheet_title("memory", "A network against an observer over repeated passes", how), heads, tuple(lines), remarks
     )
 
 

@@ -5,7 +5,9 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.paper.cases import ACCURACY, MAIN, published
+from emran_sumo.scenario import build
 
 PERIOD = 0.01  # s, at which Table II is taken
 
@@ -29,15 +31,22 @@ _OBSERVER = {
     "lateral.emran.neurons_max": 0, "lateral.emran.bias_rate": 3.652,
     "longitudinal.emran.neurons_max": 0, "longitudinal.emran.bias_rate": 11.2,
 }  # fmt: skip
+_AIDED = {"lateral.emran.authority": 1.0, "longitudinal.emran.authority": 1.0}
 _CUT = {"lateral.conditioning": True}
 _BASE = {"controller": "coupled-base"}
+OWN = "paper's signal, tuned"
 PLAIN = Row("pid-stanley", {"controller": "pid-stanley"}, "pid-stanley", False)
 BASE_ACCURACY = "coupled-base, accuracy mode"
 
 
 def rows(half: str) -> tuple[Row, ...]:
-    """The rows of a table of one half of the controller; on a straight road there is no path to condition."""
-    own = Row("paper's signal, tuned", tuned(), PLAIN.name)
+    """The rows of a table of one half of the controller: the paper's scheme and ours, then every other law."""
+    return (*own_rows(half), *other_rows(half))
+
+
+def own_rows(half: str) -> tuple[Row, ...]:
+    """The paper's scheme and ours; on a straight road there is no path to condition."""
+    own = Row(OWN, tuned(), PLAIN.name)
     if half == "longitudinal":
         return (
             PLAIN, own, Row("coupled-base", _BASE, "coupled-base"),
@@ -53,6 +62,35 @@ def rows(half: str) -> tuple[Row, ...]:
         Row("observer, no neurons", {**_OBSERVER, **_CUT}, "coupled-base"),
         Row(MAIN, _CUT, "coupled-base"),
     )
+
+
+def other_rows(half: str) -> tuple[Row, ...]:
+    """The controllers that drive this half in another way than all rows before them, under their own names."""
+    seen = [getattr(build(row.given), half) for row in own_rows(half)]
+    found: list[Row] = []
+    for name in CONTROLLERS:
+        drives = getattr(build({"controller": name}), half)
+        if drives not in seen:
+            seen.append(drives)
+            found.append(Row(name, {"controller": name}, _alone(name, half)))
+    return tuple(found)
+
+
+def _alone(name: str, half: str) -> str:
+    """The row of the same law without network."""
+    base = "coupled-base" if half == "longitudinal" else BASE_ACCURACY
+    law = name.removesuffix("-emran").removesuffix("-mran")
+    return base if law == "coupled" else law
+
+
+def pairs() -> tuple[Row, ...]:
+    """Each law alone, followed by itself with the network: the paper's, ours, and every other law of `lateral.law`."""
+    base, aided = (row for row in own_rows("lateral") if row.name in (BASE_ACCURACY, ACCURACY))
+    found = [PLAIN, Row(OWN, tuned(), PLAIN.name), base, aided]
+    for row in other_rows("lateral"):
+        if row.unaided == row.name:
+            found += [row, Row(f"{row.name} + EMRAN", {**row.given, **_AIDED}, row.name)]
+    return tuple(found)
 
 
 def literal_rows() -> tuple[Row, ...]:

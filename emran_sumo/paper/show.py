@@ -5,8 +5,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from emran_sumo.paper.layout import Line, Sheet
+from emran_sumo.paper.sheet import Line, Sheet
 
+HEADINGS = {"case": "bold", "group": "italic"}  # kinds of lines that are words across the table, and their style
 WIDTH = 116  # columns, where the output is no terminal
 
 
@@ -35,12 +36,12 @@ def show(sheet: Sheet, out: Console) -> None:
 
 def _print_lines(sheet: Sheet, out: Console) -> None:
     rows = [(line, _cells(line, len(sheet.heads))) for line in sheet.lines]
-    named = [(cells[0], *map(_plain, cells[1:])) for line, cells in rows if line.kind != "case"]
+    named = [(cells[0], *map(_plain, cells[1:])) for line, cells in rows if line.kind not in HEADINGS]
     widths = [max(map(len, column)) for column in zip(sheet.heads, *named, strict=True)]
     _print_rows(out, widths, [(list(sheet.heads), "dim")])
     for line, cells in rows:
-        if line.kind == "case":
-            out.print(cells[0], style="bold", markup=False)
+        if line.kind in HEADINGS:
+            out.print(cells[0], style=HEADINGS[line.kind], markup=False)
         else:
             _print_rows(out, widths, [(cells, "dim" if line.kind == "published" else "")])
 

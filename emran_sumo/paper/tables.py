@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 from emran_sumo.bench import drive_track, scores
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.paper import memory
-from emran_sumo.paper.cases import BLIND, FORCES, TABLES, Case, Given, Table, compared, dlc, published
-from emran_sumo.paper.rows import Row, literal_rows, rows
+from emran_sumo.paper.cases import ADD_ON, BLIND, FORCES, TABLES, Case, Given, Table, compared, dlc, published
+from emran_sumo.paper.rows import Row, literal_rows, pairs, rows
 from emran_sumo.paper.timing import Timing
 from emran_sumo.scenario import build
 
 SPUN = 0.6  # rad: a car that turned this far has lost the road, even if it stopped beside it
 ALONE = 24  # fewer runs than this are faster without further processes
-NAMES = (*TABLES, "blind", "memory", "timing")
+NAMES = (*TABLES, *ADD_ON, "blind", "memory", "timing")
 
 Values = dict[str, float | None]
 Progress = Callable[[int, int], None]
@@ -101,7 +101,8 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 def driven_tables(names: Iterable[str]) -> dict[str, Table]:
     """The tables of cases among `names`."""
-    found = {name: TABLES[name] for name in names if name in TABLES}
+    known = {**TABLES, **ADD_ON}
+    found = {name: known[name] for name in names if name in known}
     return {**found, **(BLIND if "blind" in names else {})}
 
 
@@ -120,8 +121,9 @@ def results(
     lines = [
         (name, case, row)
         for name, table in tables.items()
+        if not (literal and name in ADD_ON)
         for case in table.cases
-        for row in (literal_rows() if literal else rows(table.half))
+        for row in (literal_rows() if literal else pairs() if name in ADD_ON else rows(table.half))
     ]
     jobs = [_jobs(case, row, how) for _, case, row in lines]
     done = iter(work([job for group in jobs for job in group], workers, progress))

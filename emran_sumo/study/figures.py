@@ -1,6 +1,5 @@
 """The figures of a study's report: drawn by matplotlib. Colors, markers and dashes tell the series apart."""
 
-import io
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -53,15 +52,6 @@ def words(key: str) -> str:
 def short(key: str) -> str:
     """A factor in words without its unit."""
     return words(key).partition(" (")[0]
-
-
-def image(figure: Figure, kind: str) -> bytes:
-    """A figure as "svg", "png" or "pdf"; equal figures give equal bytes."""
-    sink = io.BytesIO()
-    with mpl.rc_context(STYLE):
-        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-        figure.savefig(sink, format=kind, dpi=200, metadata=dates)
-    return sink.getvalue()
 
 
 def _sheet(panels: int, columns: int, height: float = 1.6) -> tuple[Figure, list[Axes]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from emran_sumo.errors import UserError
+from emran_sumo.print_style import image
 from emran_sumo.study import figures, statistics
 from emran_sumo.study.display import span
 from emran_sumo.study.figures import Drawn
@@ -53,7 +54,7 @@ def _section(folder: Path, cut: Slice, number: int | None) -> str:
     for one in drawn:
         name = one.name if number is None else f"{one.name}-{number + 1}"
         for kind in ("png", "pdf"):
-            (folder / "figures" / f"{name}.{kind}").write_bytes(figures.image(one.figure, kind))
+            (folder / "figures" / f"{name}.{kind}").write_bytes(image(one.figure, kind))
         parts.append(_figure(one))
         if one.name == "differences":
             parts.append(_differences(cut))
@@ -66,7 +67,7 @@ def _fixed(cut: Slice) -> str:
 
 
 def _figure(one: Drawn) -> str:
-    data = base64.b64encode(figures.image(one.figure, "svg")).decode()
+    data = base64.b64encode(image(one.figure, "svg")).decode()
     title, caption = escape(one.title), escape(one.caption)
     return (
         f'<figure id="{one.name}"><h3>{title}</h3><img alt="{title}" src="data:image/svg+xml;base64,{data}">'
