@@ -51,8 +51,8 @@ def write_panels(file: Path, tabs: Mapping[str, Sequence[View]], captions: str, 
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     stream = Stream(part, APPLICATION, name)
     try:
-        stream.raw.send_blueprint(_layout(tabs), make_active=True, make_default=True)
-        stream.raw.send_recording_name(name)
+        stream.arrangement.send(_layout(tabs))
+        stream.name(name)
         stream.static("/captions", rr.TextDocument(captions, media_type=rr.MediaType.MARKDOWN))
         for view in (view for views in tabs.values() for view in views):
             for i, line in enumerate(view.lines):
@@ -60,7 +60,7 @@ def write_panels(file: Path, tabs: Mapping[str, Sequence[View]], captions: str, 
         stream.close()
         os.replace(part, file)
     finally:
-        stream.raw.disconnect()
+        stream.close()
         part.unlink(missing_ok=True)
 
 
