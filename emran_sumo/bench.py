@@ -6,6 +6,8 @@ import numpy as np
 
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
+from emran_sumo.controllers import is_own
+from emran_sumo.errors import UserError
 from emran_sumo.loop import STATUS, Networks, References, blank_networks, closed_loop, new_trace, start
 from emran_sumo.path import Path, nearest, point_at
 from emran_sumo.plant.disturbance import drawn
@@ -44,6 +46,9 @@ def drive_track(scenario: Scenario, networks: Networks | None = None) -> BenchRu
         scenario: Scenario with world = "track".
         networks: what was learned before; empty networks otherwise. Changed in place.
     """
+    if is_own(scenario.controller):
+        accepted = "a built-in one; `emran-sumo run`, `compare` and `study` take your own"
+        raise UserError(f'controller: found "{scenario.controller}"; accepted here is {accepted}.')
     track, period = scenario.track, scenario.rates.control_step
     n = round(scenario.duration / period)
     times = np.arange(n + 1) * period

@@ -54,7 +54,10 @@ def list_scenarios() -> None:
 @app.command()
 def run(
     scenario: Annotated[str, typer.Argument(help="Shipped scenario, folder with a scenario.toml, .toml or .sumocfg.")],
-    controller: Annotated[str | None, typer.Option(help="One of those that `emran-sumo list` shows.")] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(help="One that `emran-sumo list` shows, or your own: module:factory or file.py:factory."),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help="Of the traffic: the same seed gives the same run, bit for bit.")
     ] = None,
@@ -209,7 +212,7 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)  # what typer makes of Ctrl-C depends on its version
     except UserError as error:
-        print(f"emran-sumo: {error}", file=sys.stderr)
+        print("\n".join([f"emran-sumo: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
         raise SystemExit(2) from None
     except (KeyboardInterrupt, typer.Abort):
         code = 130

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from emran_sumo import drive
-from emran_sumo.controllers import CONTROLLERS
+from emran_sumo.controllers import CONTROLLERS, is_own, label
 from emran_sumo.ego import COLUMNS
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.manifest import writable
 from emran_sumo.recording.comparison import MOST, Compared, write_comparison
 from emran_sumo.scenario import Located, load
+from emran_sumo.user_code import maker
 
 LOWER, HIGHER, NEITHER = -1, 1, 0
 
@@ -75,9 +76,9 @@ def chosen(controllers: str) -> tuple[str, ...]:
     """
     names = tuple(name.strip() for name in controllers.split(",") if name.strip())
     for i, name in enumerate(names):
-        if name not in CONTROLLERS:
+        if not (name in CONTROLLERS or is_own(name)):
             raise UserError(f'--controllers: found "{name}". {nearest_name(name, list(CONTROLLERS))}')
-        if name in names[:i]:
+        if label(name) in map(label, names[:i]):
             raise UserError(f'--controllers: found "{name}" twice; accepted is each controller once.')
     if not 2 <= len(names) <= MOST:
         wanted = f"two to {MOST} names with commas, e.g. pid-stanley,coupled-emran"
@@ -107,9 +108,11 @@ def compare(
         UserError: a file, key or folder is not usable.
     """
     located = {
-        name: load(scenario, {**overrides, "controller": (name, "--controllers")}) for name in controllers
+        label(name): load(scenario, {**overrides, "controller": (name, "--controllers")}) for name in controllers
     }  # all of them before the first is driven: a mistake must not cost a run
-    first = located[controllers[0]]
+    for of in located.values():
+        maker(of)
+    first = located[label(controllers[0])]
     file = out / first.name / f"compare-seed{first.values.seed}" / "compare.rrd"
     with writable(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)

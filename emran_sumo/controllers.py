@@ -55,3 +55,29 @@ CONTROLLERS: dict[str, tuple[str, dict[str, object]]] = {
         {"lateral.law": "t2fnn", **_NO_NETWORKS},
     ),
 }
+
+# of a user's own one: it gets what it asks for; networks and the tires' reach are switched on by their keys
+OWN: dict[str, object] = {
+    "longitudinal.emran.authority": 0.0,
+    "lateral.emran.authority": 0.0,
+    "lateral.slip_limit": 2.0,
+}
+
+
+def is_own(name: str) -> bool:
+    """Whether a controller is a user's own, `module:factory`."""
+    return ":" in name
+
+
+def preset(name: str) -> dict[str, object]:
+    """Dotted keys of a controller with their values."""
+    return OWN if is_own(name) else CONTROLLERS[name][1]
+
+
+def label(name: str) -> str:
+    """A controller's name for files and tables: `laws/mine.py:Law` is laws.mine.Law."""
+    module, colon, factory = name.rpartition(":")
+    if not colon:
+        return name
+    plain = "".join(c if c.isalnum() or c in "-_." else "." for c in module.removesuffix(".py"))
+    return f"{plain.strip('.')}.{factory}"

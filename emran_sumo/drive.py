@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo.ego import COLUMNS, Ego, fitted, learning_state
+from emran_sumo.ego import COLUMNS, Ego, learning_state
 from emran_sumo.errors import UserError
+from emran_sumo.faults import ControllerFault
 from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
 from emran_sumo.manifest import clear, manifest, prepare, properties, writable, write_summary
 from emran_sumo.opening import World, opening
-from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.insight import insights
 from emran_sumo.recording.recorder import Recorder
@@ -24,12 +24,12 @@ from emran_sumo.recording.watch import Limits
 from emran_sumo.report import summary_markdown
 from emran_sumo.results import Tally, summary_of, write_traces
 from emran_sumo.scenario import Located, Scenario
-from emran_sumo.selection import Selection
 from emran_sumo.stop import Stop, stoppable
+from emran_sumo.takeover import Driven, Takeovers
+from emran_sumo.user_code import maker as maker_of
 from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world.native import Native, watch
 from emran_sumo.world.records import NOBODY
-from emran_sumo.world.session import one_line
 from emran_sumo.world.signals import Signals, stop_lines
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
@@ -38,8 +38,6 @@ MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
 OFF_ROUTE_MOST = 0.5  # s after which SUMO may find it beside its route
 OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
-WAIT_FOR_A_CAR = 3600.0  # s in which some car of a configuration must depart, where none is asked for
-WAIT_FOR_DEPARTURE = 300.0  # s after the warm-up in which the ego of a scenario must appear
 
 
 class RunResult(NamedTuple):
@@ -57,12 +55,15 @@ class RunResult(NamedTuple):
     trace: np.ndarray
     shape: EgoShape
 
+    @property
+    def signals(self) -> np.ndarray:
+        """The trace as a structured array (n,): signals["cross_track_error"], all names in signals.dtype.names."""
+        return np.ascontiguousarray(self.trace).view([(name, float) for name in COLUMNS])[:, 0]
 
-class Driven(NamedTuple):
-    """An ego with its planner."""
-
-    ego: Ego
-    planner: DoubleLaneChanger | LaneFollower
+    @property
+    def recording(self) -> Path:
+        """The file for the viewer, where one was written."""
+        return self.folder / "run.rrd"
 
 
 class Outcome(NamedTuple):
@@ -104,14 +105,14 @@ def _run(
     located: Located, out: Path, stop: Stop, record: bool, gui: bool, live: str, command: str, progress: Progress
 ) -> RunResult:
     scenario = located.values
-    open_world = opening(located)
+    open_world, maker = opening(located), maker_of(located)
     folder = prepare(out, located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
     with writable(folder), open_world(folder, gui) as world:
         for done in world.warm_up(scenario.warm_up):
             progress("warm-up", done, scenario.warm_up)
-        selection = Selection(scenario)
-        egos = _first_egos(world, located, selection, progress)
+        takeovers = Takeovers(world, located, maker)
+        egos = takeovers.first(progress)
         told = manifest(located, command)
         first = next(iter(egos.values())).ego
         clear(folder)  # the older run stays until the new one has begun
@@ -119,13 +120,16 @@ def _run(
         signals = Signals() if record and isinstance(world, SumoWorld) else None
         recorder = _open_recorder(folder, located, first, world, told, live, signals) if record else None
         with recorder or contextlib.nullcontext():
-            host = Host(world, scenario, egos, selection, recorder, stop, progress, signals)
+            host = Host(world, scenario, egos, takeovers, recorder, stop, progress, signals)
             host.drive(real_time=gui)
             summary = summary_of(host, told)
             if recorder is not None:
                 recorder.close(summary_markdown(summary), properties(located, summary["ended"]))
         write_traces(folder, host)
         write_summary(folder / "summary.json", summary)
+    if host.fault is not None:
+        host.fault.add_note(f"What was driven until then: {folder}")
+        raise host.fault
     return RunResult(folder, summary["ended"], summary["reason"], summary["metrics"], first.trace(), _shape(first))
 
 
@@ -151,63 +155,6 @@ def native(located: Located, result: RunResult, progress: Progress = lambda *_: 
     return found
 
 
-def _first_egos(world: World, located: Located, selection: Selection, progress: Progress) -> dict[str, Driven]:
-    """Step the world until the first ego is there."""
-    scenario = located.values
-    if isinstance(world, TrackWorld):
-        return {"ego": _take(world, "ego", scenario, scenario.vehicle, 0)}
-    patience = WAIT_FOR_DEPARTURE if not scenario.config else math.inf if selection.asked_for else WAIT_FOR_A_CAR
-    candidates, end = world.present(), min(world.time + patience, world.end)
-    while True:
-        egos = _newcomers(world, scenario, selection, candidates, 0)
-        if egos:
-            return egos
-        if world.expected() == 0 or world.time > end:
-            said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
-            raise UserError(
-                f"ego: {selection.words()} of {_sources(located)} was not on the road when the warm-up ended or until "
-                f"{world.time:g} s; accepted is one that has departed by then and not arrived."
-                f"{selection.others()}{said}"
-            )
-        progress("wait", world.time, 0.0)
-        world.advance()
-        candidates = world.departed()
-
-
-def _sources(located: Located) -> str:
-    """The files that declare the vehicles."""
-    s = located.values
-    return ", ".join(str(located.folder / name) for name in ((s.config,) if s.config else s.routes))
-
-
-def _newcomers(
-    world: SumoWorld, scenario: Scenario, selection: Selection, candidates: tuple[str, ...], count: int
-) -> dict[str, Driven]:
-    """Take over those of the candidates that are to be driven; `count` egos exist already."""
-    found: dict[str, Driven] = {}
-    for name in (*candidates, *selection.waiting):
-        if not world.lane_of(name):  # it departs from a parking area
-            selection.waiting[name] = None
-            continue
-        selection.waiting.pop(name, None)
-        if selection.chooses(world, name):
-            length, width, _ = world.size(name)
-            found[name] = _take(world, name, scenario, fitted(scenario.vehicle, length, width), count + len(found))
-    return found
-
-
-def _take(world: World, name: str, scenario: Scenario, vehicle, index: int) -> Driven:
-    front = vehicle.front_axle + vehicle.front_overhang
-    if isinstance(world, SumoWorld):
-        lag = vehicle.torque_lag + scenario.rates.command_delay
-        handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes, lag)
-    else:
-        handed = world.take_over(name, front, vehicle.width, scenario.egos.lane_changes)
-    ego = Ego(name, scenario, vehicle, handed, world.time, index)
-    room = world.room if isinstance(world, SumoWorld) else lambda _: math.inf
-    return Driven(ego, planner_for(ego, handed, room))
-
-
 class Host:
     """The host loop: one round per SUMO step, for all egos."""
 
@@ -216,17 +163,18 @@ class Host:
         world: World,
         scenario: Scenario,
         egos: dict[str, Driven],
-        selection: Selection,
+        takeovers: Takeovers,
         recorder: Recorder | None,
         stop: Stop,
         progress: Progress,
         signals: Signals | None = None,
     ) -> None:
-        self.world, self.scenario, self.recorder, self._selection = world, scenario, recorder, selection
+        self.world, self.scenario, self.recorder, self._takeovers = world, scenario, recorder, takeovers
         self.all = dict(egos)
         self.active = dict(egos)
         self.shown = next(iter(egos))
         self.outcomes: dict[str, Outcome] = {}
+        self.fault: ControllerFault | None = None  # of a user's own controller: ends the run
         self.tally = Tally(world)
         self.wall = 0.0
         self._off_road: dict[str, int] = {}  # steps in a row
@@ -241,6 +189,8 @@ class Host:
         for done in range(1, steps + 1):
             try:
                 self._step()
+            except ControllerFault as error:  # of one that was to be taken over
+                self._failed(error)
             except UserError as error:
                 if not real_time:
                     raise
@@ -263,7 +213,7 @@ class Host:
     @property
     def never_seen(self) -> list[str]:
         """Egos that were asked for by their ids and have not come."""
-        return [name for name in self._selection.ids if name not in self.all]
+        return [name for name in self._takeovers.selection.ids if name not in self.all]
 
     def _is_over(self) -> bool:
         if self.active:
@@ -271,7 +221,7 @@ class Host:
         world = self.world
         if isinstance(world, TrackWorld):
             return True
-        return self._selection.complete(len(self.all)) or world.expected() == 0
+        return self._takeovers.selection.complete(len(self.all)) or world.expected() == 0
 
     def _step(self) -> None:
         world, egos = self.world, {name: driven.ego for name, driven in self.active.items()}
@@ -284,10 +234,14 @@ class Host:
         for name, ego in egos.items():
             self._observe(ego, rows[name], intents[name])
         self.tally.look(world, self.all, tuple(self.active))
-        if isinstance(world, SumoWorld) and not self._selection.complete(len(self.all)):
-            new = _newcomers(world, self.scenario, self._selection, world.departed(), len(self.all))
-            self.all |= new
-            self.active |= new
+        new = self._takeovers.newcomers(len(self.all))
+        self.all |= new
+        self.active |= new
+
+    def _failed(self, fault: ControllerFault) -> None:
+        """The first fault ends the run for all egos, after this step."""
+        self.fault = self.fault or fault
+        self._stop.failed = True
 
     def _observe(self, ego: Ego, rows: np.ndarray, intent) -> None:
         world, name = self.world, ego.name
@@ -299,7 +253,7 @@ class Host:
         if lane:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY
-        before = ego.frames[-1][-1] if ego.frames else None
+        before = ego.frames.last[-1] if len(ego.frames.last) else None
         others = ego.observe(traffic, error if lane else math.nan, rows)
         outcome = self._outcome(ego, error, lane)
         if outcome is None and lane:
@@ -307,7 +261,7 @@ class Host:
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames[-1], traffic, ego.reference_ahead())
+            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead(), self.active)
             _tell(self.recorder, ego, before, self._signals)
         if outcome is not None:
             self.outcomes[name] = outcome
@@ -317,8 +271,11 @@ class Host:
     def _outcome(self, ego: Ego, mirror_error: float, lane: str) -> Outcome | None:
         """Why an ego ends after this step, or None."""
         car, after = ego.state.vehicle, f"after {ego.time:.1f} s"
+        if ego.own is not None and ego.own.fault is not None:
+            self._failed(ego.own.fault)
+            return Outcome("fault", str(ego.own.fault).rstrip("."))
         if ego.status == DIVERGED:
-            row = ego.frames[-1][-1]
+            row = ego.frames.last[-1]
             return Outcome(
                 "diverged",
                 f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
@@ -350,13 +307,16 @@ class Host:
 
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
-    control, row = ego.scenario.control, ego.frames[-1][-1]
+    control, row = ego.scenario.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
-    recorder.state(ego.time, "learning", learning_state(ego.frames[-1], before, aided))
+    recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)
+    if ego.base is not recorder.patched:  # its first lane, or another one
+        recorder.patched = ego.base
+        recorder.patch(ego.time, patch_on(ego.scenario.disturbance, ego.base, ego.lane_width, ego.offset))
     for name, seen in insights(control, ego.networks, row):
         recorder.network(ego.time, name, seen)
     lights = signals.changed() if signals is not None else None
@@ -381,11 +341,10 @@ def _open_recorder(
     if isinstance(world, SumoWorld) and signals is not None:
         road = road._replace(stop_lines=stop_lines(world.map, signals))
     limits = Limits(v.steer_limit, v.steer_rate, s.longitudinal.accel_max, s.longitudinal.decel_max)
-    patch = patch_on(s.disturbance, ego.path, ego.lane_width, ego.route_offset)
     try:
         return Recorder(
             file, recording=identity, name=name, road=road, ego=_shape(ego), columns=COLUMNS,
-            limits=limits, patch=patch, live=live,
+            limits=limits, live=live,
         )  # fmt: skip
     except RuntimeError as error:
         raise UserError(f"--out: cannot write {file}: {error}; accepted is a writable folder with room.") from None

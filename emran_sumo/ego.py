@@ -8,8 +8,10 @@ import numpy as np
 from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
+from emran_sumo.frames import Frames
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
-from emran_sumo.path import Path, interpolate, nearest, path_length, project
+from emran_sumo.own_controller import OwnController
+from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
@@ -82,18 +84,21 @@ class Ego:
         handed: TakeOver.
         time: of the simulation at take-over [s].
         index: number of this ego in the run; egos draw different noise.
+        own: the user's own controller; None for the built-in laws.
     """
 
     def __init__(
-        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0
-    ) -> None:
-        self.name, self.scenario, self.vehicle = name, scenario, vehicle
+        self, name: str, scenario: Scenario, vehicle: VehicleParams, handed: TakeOver, time: float, index: int = 0,
+        own: OwnController | None = None,
+    ) -> None:  # fmt: skip
+        self.name, self.scenario, self.vehicle, self.own = name, scenario, vehicle, own
+        self._drive = closed_loop if own is None else own.closed_loop
         self.lane_width = handed.lane_width
         self.began_at = time
         pose = handed.pose
         self.base = self.path = self.driven = handed.path
         self._origin = 0.0
-        guess = _first_guess(handed.path, pose)
+        guess = first_near(handed.path, pose.x, pose.y, pose.yaw)
         # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
         cap = float(interpolate(_caps(handed.path, scenario), handed.path, guess))
         if pose.speed > TOO_FAST * cap:
@@ -108,7 +113,7 @@ class Ego:
         self.maneuver = "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
-        self.frames: list[np.ndarray] = []
+        self.frames = Frames(len(COLUMNS))
         self.collided: set[str] = set()
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
@@ -138,7 +143,12 @@ class Ego:
     @property
     def position(self) -> float:
         """Distance along the route of the vehicle, junctions not counted [m]."""
-        return self.state.position + self._origin + self.route_offset
+        return self.state.position + self.offset
+
+    @property
+    def offset(self) -> float:
+        """Position along the route where the path that it follows begins [m]."""
+        return self._origin + self.route_offset
 
     @property
     def speed(self) -> float:
@@ -159,7 +169,7 @@ class Ego:
         lateral = self.scenario.lateral
         speed = float(max(car.speed_long, 1.0))
         self.driven = conditioned(path, lateral, self.vehicle, speed) if lateral.conditioning else path
-        guess = _first_guess(self.driven, Pose(car.x, car.y, car.yaw, 0.0, 0.0))
+        guess = first_near(self.driven, car.x, car.y, car.yaw)
         position = nearest(self.driven, car.x, car.y, guess).position
         self._origin += before - position
         self.state = self.state._replace(position=position)
@@ -176,7 +186,7 @@ class Ego:
         rows = new_trace(self._periods)
         before = self.state.vehicle.speed_long
         s = self.scenario
-        self.state, self.status, count = closed_loop(
+        self.state, self.status, count = self._drive(
             self.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
@@ -211,7 +221,7 @@ class Ego:
             speeds = self._speed_reference + rise * self._shares
             accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
-        return References(self.path, self.driven, speeds, accels, noise, self._origin + self.route_offset)
+        return References(self.path, self.driven, speeds, accels, noise, self.offset)
 
     def _softened(self, end: float, step: float) -> float:
         """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""
@@ -252,7 +262,7 @@ class Ego:
 
     def trace(self) -> np.ndarray:
         """All rows so far (n, len(COLUMNS))."""
-        return np.concatenate(self.frames) if self.frames else np.zeros((0, len(COLUMNS)))
+        return self.frames.all()
 
     def too_tight(self) -> str:
         """Words for a lost car: what of its way no car can drive, as where SUMO turns back within its lane."""
@@ -351,7 +361,7 @@ class Ego:
         self.events.append(Event(self.time, level, text))
 
     def _note_networks(self, rows: np.ndarray) -> None:
-        last = self.frames[-1][-1] if self.frames else np.zeros(WIDTH)
+        last = self.frames.last[-1] if len(self.frames.last) else np.zeros(WIDTH)
         if not rows.size or np.array_equal(rows[-1, NETWORK_COUNTS], last[NETWORK_COUNTS]):
             return
         for row in rows:
@@ -378,11 +388,6 @@ def _caps(path: Path, scenario: Scenario) -> np.ndarray:
     """Speeds (n,) [m/s] that the bends of a path allow."""
     road = scenario.road
     return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
-
-
-def _first_guess(path: Path, pose: Pose) -> float:
-    """Position of the grid point nearest to a pose."""
-    return float(np.argmin((path.x - pose.x) ** 2 + (path.y - pose.y) ** 2)) * path.spacing
 
 
 def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:

@@ -13,6 +13,7 @@ import numba
 from numba.core import config
 
 _PACKAGE = Path(__file__).parent
+ALL, OWN = "compiled", "compiled-own"
 
 
 def _digest() -> str:
@@ -46,11 +47,12 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 njit = numba.njit(cache=True)
 
 
-def compiled_before(which: str = "") -> bool:
-    """Whether a complete set of kernels, or the set named so, lies in the cache (see `mark_compiled`)."""
-    return (CACHE_FOLDER / f"compiled{which}").exists() or bool(getattr(config, "DISABLE_JIT", 0))
+def compiled_before(kind: str = ALL) -> bool:
+    """Whether a complete set of kernels lies in the cache (see `mark_compiled`): ALL of a run, those for an OWN
+    controller on top, or either under another law (`warm.kinds`)."""
+    return (CACHE_FOLDER / kind).exists() or bool(getattr(config, "DISABLE_JIT", 0))
 
 
-def mark_compiled(which: str = "") -> None:
-    """Remember that every kernel of this version, or of the set named so, has been compiled."""
-    (CACHE_FOLDER / f"compiled{which}").touch()
+def mark_compiled(kind: str = ALL) -> None:
+    """Remember that every kernel of this version and kind has been compiled."""
+    (CACHE_FOLDER / kind).touch()

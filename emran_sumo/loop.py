@@ -99,6 +99,15 @@ class Clock(NamedTuple):
     delay: int = 0
 
 
+class Seen(NamedTuple):
+    """What a controller is told: the measured state, the errors [m], [rad] of its center of gravity, and Motion."""
+
+    car: VehicleState
+    cross_track_error: float
+    heading_error: float
+    motion: Motion
+
+
 class References(NamedTuple):
     """What to follow and what disturbs the view over n control periods.
 
@@ -175,42 +184,76 @@ def closed_loop(vehicle, control, disturbance, friction, clock, references, stat
     period, periods, path = clock.period, references.accels.size, references.driven
     point = point_at(path, state.position)
     for k in range(periods):
-        tick = clock.tick + k
-        time = tick * period
-        env = _environment(disturbance, friction, path, time, point.position, references.origin, car.speed_long)
-        seen = measured_state(control.sensors, references.noise[k], car, point.yaw)
-        cross_track, heading = tracking_errors(point, seen.x, seen.y, seen.yaw)
-        motion = _motion(vehicle, control.sensors, references.noise[k], car, seen, env, point.position)
+        time = (clock.tick + k) * period
+        seen = sense(
+            vehicle, control.sensors, disturbance, friction, path, references.origin, references.noise[k],
+            time, car, point,
+        )  # fmt: skip
         push, cruise_memory = cruise(
-            control.longitudinal, speed_net, vehicle, cruise_memory, motion,
+            control.longitudinal, speed_net, vehicle, cruise_memory, seen.motion,
             references.speeds[k], references.accels[k], period,
         )  # fmt: skip
         turn, steering_memory = track(
-            control.lateral, steering_net, vehicle, steering_memory, seen, path, point, cross_track, heading, period
-        )
-        pending[tick % DELAYS, 0] = turn.angle
-        pending[tick % DELAYS, 1] = vehicle.mass * vehicle.wheel_radius * push.accel
-        arrived = (tick - clock.delay) % DELAYS
-        actuation = Actuation(pending[arrived, 0], pending[arrived, 1])
-        for j in range(clock.substeps):
-            now = time + j * clock.plant_step
-            travelled = point.position + car.speed_long * j * clock.plant_step
-            env = _environment(disturbance, friction, path, now, travelled, references.origin, car.speed_long)
-            car = step(vehicle, car, actuation, env, clock.plant_step)
-        point = nearest(path, car.x, car.y, point.position + car.speed_long * period)
-        row = trace[k]
-        row[AT.time] = (tick + 1) * period
-        _write_car(row, vehicle, car, env)
-        _write_control(row, turn, push)
-        shown = nearest(references.path, car.x, car.y, point.position)
-        _write_reference(row, car, shown, references, k)
-        _write_networks(row, push, turn, speed_net, steering_net)
+            control.lateral, steering_net, vehicle, steering_memory, seen.car, path, point,
+            seen.cross_track_error, seen.heading_error, period,
+        )  # fmt: skip
+        car, point, status = act(
+            vehicle, disturbance, friction, clock, references, k, pending, car, point, turn, push,
+            speed_net, steering_net, trace[k],
+        )  # fmt: skip
         state = LoopState(car, cruise_memory, steering_memory, point.position, pending)
-        if _lost(row[AT.cross_track_error], row[AT.heading_error], car):
-            return state, DIVERGED, k + 1
-        if point.position >= path_length(path) - 1e-6:
-            return state, PATH_ENDED, k + 1
+        if status != RUNNING:
+            return state, status, k + 1
     return state, RUNNING, periods
+
+
+@njit
+def sense(vehicle, sensors, disturbance, friction, path, origin, noise, time, car, point):
+    """What the controller is told of a car at `time` [s], `point` of the driven `path` being nearest to it: Seen."""
+    env = _environment(disturbance, friction, path, time, point.position, origin, car.speed_long)
+    seen = measured_state(sensors, noise, car, point.yaw)
+    cross_track, heading = tracking_errors(point, seen.x, seen.y, seen.yaw)
+    return Seen(seen, cross_track, heading, _motion(vehicle, sensors, noise, car, seen, env, point.position))
+
+
+@njit
+def act(
+    vehicle, disturbance, friction, clock, references, k, pending, car, point, turn, push, speed_net, steering_net, row
+):
+    """Let the car answer what is asked of it in period `k` of the references, and write the row of its end.
+
+    Args:
+        turn: SteeringCommand; push: CruiseCommand.
+        pending: (DELAYS, 2) ring of commands, changed in place.
+        others: as in `closed_loop`; `clock` is that of period 0.
+
+    Returns:
+        (VehicleState, Point of the driven path, status)
+    """
+    path, period = references.driven, clock.period
+    tick = clock.tick + k
+    time = tick * period
+    pending[tick % DELAYS, 0] = turn.angle
+    pending[tick % DELAYS, 1] = vehicle.mass * vehicle.wheel_radius * push.accel
+    arrived = (tick - clock.delay) % DELAYS
+    actuation = Actuation(pending[arrived, 0], pending[arrived, 1])
+    for j in range(clock.substeps):
+        now = time + j * clock.plant_step
+        travelled = point.position + car.speed_long * j * clock.plant_step
+        env = _environment(disturbance, friction, path, now, travelled, references.origin, car.speed_long)
+        car = step(vehicle, car, actuation, env, clock.plant_step)
+    point = nearest(path, car.x, car.y, point.position + car.speed_long * period)
+    row[AT.time] = (tick + 1) * period
+    _write_car(row, vehicle, car, env)
+    _write_control(row, turn, push)
+    shown = nearest(references.path, car.x, car.y, point.position)
+    _write_reference(row, car, shown, references, k)
+    _write_networks(row, push, turn, speed_net, steering_net)
+    if _lost(row[AT.cross_track_error], row[AT.heading_error], car):
+        return car, point, DIVERGED
+    if point.position >= path_length(path) - 1e-6:
+        return car, point, PATH_ENDED
+    return car, point, RUNNING
 
 
 @njit

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from emran_sumo import __version__
+from emran_sumo.controllers import label
 from emran_sumo.errors import UserError
 from emran_sumo.scenario import Located, to_dict
+from emran_sumo.user_code import digests
 from emran_sumo.world.session import version as sumo_version
 
 STARTING = "starting.rou.xml"  # the traffic of a run that has not begun to drive
@@ -27,7 +29,7 @@ def prepare(out: Path, located: Located) -> Path:
         UserError: the folder cannot be written.
     """
     s = located.values
-    folder = out / located.name / f"{s.controller}-seed{s.seed}"
+    folder = out / located.name / f"{label(s.controller)}-seed{s.seed}"
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / STARTING).touch()
@@ -56,12 +58,14 @@ def writable(folder: Path) -> Iterator[None]:
 def manifest(located: Located, command: str) -> dict[str, Any]:
     """What is needed to repeat the run and to read it a month later."""
     resolved = to_dict(located.values)
-    digest = hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:12]
+    own = digests(located)
+    digest = hashlib.sha256(json.dumps([resolved, own] if own else resolved, sort_keys=True).encode()).hexdigest()[:12]
     packages = {name: version(name) for name in ("numpy", "numba", "scipy", "pyarrow")}
     return {
         "scenario_name": located.name,
-        "command": command or shlex.join(["emran-sumo", "run", located.name]),
+        "command": command or located.command or shlex.join(["emran-sumo", "run", located.name]),
         "digest": digest,
+        **({"controller_sources": own} if own else {}),
         "seeds": {"traffic": located.values.seed, "sumo": located.values.seed},
         "versions": {
             "emran_sumo": __version__,

@@ -8,6 +8,7 @@ import numpy as np
 from emran_sumo.kernels import njit
 
 NEAREST_ITERATIONS = 4
+FIRST_WITHIN = 1.0  # m
 
 
 class Path(NamedTuple):
@@ -118,6 +119,21 @@ def tracking_errors(point, x, y, yaw):
     """Cross-track error [m], positive when the path lies to the left, and heading error [rad], path minus vehicle."""
     cross_track = -((x - point.x) * -math.sin(point.yaw) + (y - point.y) * math.cos(point.yaw))
     return cross_track, wrap(point.yaw - yaw)
+
+
+def first_near(path: Path, x: float, y: float, yaw: float) -> float:
+    """Position [m] of the point nearest to (x, y) [m] the first time that the path passes there the way of `yaw`.
+
+    A path that comes back to where it was is on its first round: it begins at the car.
+    """
+    squared = (path.x - x) ** 2 + (path.y - y) ** 2
+    along = np.where(np.cos(path.yaw - yaw) > 0.0, squared, np.inf)
+    if np.isfinite(along).any():
+        squared = along
+    near = np.flatnonzero(np.sqrt(squared) < math.sqrt(squared.min()) + FIRST_WITHIN)
+    others = np.flatnonzero(np.diff(near) > 1)
+    first = near[: others[0] + 1] if others.size else near
+    return float(first[np.argmin(squared[first])]) * path.spacing
 
 
 def path_from_points(x: np.ndarray, y: np.ndarray, grade: np.ndarray | float = 0.0) -> Path:

@@ -11,7 +11,7 @@ from emran_sumo.ego import Ego
 from emran_sumo.errors import UserError
 from emran_sumo.loop import AT
 from emran_sumo.maneuver import DoubleLaneChange
-from emran_sumo.path import Path, nearest, path_length
+from emran_sumo.path import Path, first_near, nearest, path_length
 from emran_sumo.world.lanes import blended
 from emran_sumo.world.records import Intent, Others, TakeOver
 
@@ -182,8 +182,7 @@ class LaneFollower:
     def _blend(self, ego: Ego, target: Path, length: float) -> bool:
         """Take the way from the present path to `target`; False where the target does not pass here."""
         here = nearest(ego.path, ego.state.vehicle.x, ego.state.vehicle.y, ego.state.position)
-        k = int(np.argmin((target.x - here.x) ** 2 + (target.y - here.y) ** 2))
-        there = nearest(target, here.x, here.y, k * target.spacing)
+        there = nearest(target, here.x, here.y, first_near(target, here.x, here.y, here.yaw))
         if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
             return False
         ego.take_path(target, blended(target, ego.path, here.position, there.position, length))

@@ -81,7 +81,7 @@ def summary_markdown(summary: dict[str, Any]) -> str:
         ("speed RMS", f"{t['speed_error_rms']:.3f} m/s"),
         ("min TTC", ttc),
         ("collisions", str(s["collisions"])),
-        ("neurons steer + speed", neurons),
+        ("neurons", neurons),
     )
     head = " | ".join(name for name, _ in cells)
     line = " | ".join("---" for _ in cells)

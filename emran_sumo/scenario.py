@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from emran_sumo import locate, shipped
 from emran_sumo.control.cruise import CruiseParams
 from emran_sumo.control.steering import SteeringParams, compiled_view
-from emran_sumo.controllers import CONTROLLERS, DEFAULT
+from emran_sumo.controllers import CONTROLLERS, DEFAULT, is_own, preset
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.loop import DELAYS, Clock, ControlParams
 from emran_sumo.plant.disturbance import DisturbanceParams
@@ -102,11 +102,16 @@ class Scenario(NamedTuple):
 
 
 class Located(NamedTuple):
-    """A validated scenario with the folder its files are relative to and its name."""
+    """A validated scenario with the folder its files are relative to and its name.
+
+    controller: the user's own class, factory or object, where it was given as such; command: that drives it.
+    """
 
     name: str
     folder: Path
     values: Scenario
+    controller: Any = None
+    command: str = ""
 
 
 _ADAPTER = TypeAdapter(Scenario, config=ConfigDict(allow_inf_nan=False))
@@ -185,9 +190,10 @@ def checked(given: dict[str, Any], origin: dict[str, str], file: str) -> Scenari
         UserError: one sentence with file, key, what was found and what is accepted.
     """
     controller = given.get("controller", DEFAULT)
-    if not isinstance(controller, str) or controller not in CONTROLLERS:
+    if not isinstance(controller, str) or not (controller in CONTROLLERS or is_own(controller)):
         hint = nearest_name(str(controller), list(CONTROLLERS))
-        raise UserError(f"{origin['controller']}: controller: found {_shown(controller)}. {hint}")
+        own = " Accepted is one of these, or your own: module:factory." if str(controller).endswith(".py") else ""
+        raise UserError(f"{origin['controller']}: controller: found {_shown(controller)}. {hint}{own}")
     known = dict.fromkeys(_leaves(Scenario))
     for key in given:
         if key not in known:
@@ -206,8 +212,7 @@ def build(given: dict[str, Any]) -> Scenario:
     Raises:
         pydantic.ValidationError: a value is not accepted.
     """
-    preset = CONTROLLERS[given.get("controller", DEFAULT)][1]
-    values = _tree({**flat(to_dict(Scenario())), **preset, **given})
+    values = _tree({**flat(to_dict(Scenario())), **preset(given.get("controller", DEFAULT)), **given})
     return _ADAPTER.validate_python(values, strict=True)
 
 

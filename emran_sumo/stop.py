@@ -19,6 +19,7 @@ class Stop:
         self.signal = 0
         self.driving = False
         self.sumo_said = ""  # when its own window ended the run
+        self.failed = False  # a user's own controller, of one of the egos
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         if self.signal or not self.driving:
@@ -30,6 +31,8 @@ class Stop:
         """What stopped the run; "" when nothing did."""
         if self.sumo_said:
             return f"stopped with SUMO's window ({self.sumo_said.rstrip('.')})"
+        if self.failed:
+            return "stopped with the fault of another ego's controller"
         return f"stopped by {signal.Signals(self.signal).name}" if self.signal else ""
 
 

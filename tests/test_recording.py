@@ -160,7 +160,7 @@ def path_ahead(row: np.ndarray) -> np.ndarray:
 
 def open_recorder(file: Path, **changes) -> Recorder:
     given = {"recording": "drive-1", "name": "A drive", "road": small_road(), "ego": EGO, "columns": COLUMNS}
-    given |= {"limits": LIMITS, "patch": PATCH}
+    given |= {"limits": LIMITS}
     return Recorder(file, **{**given, **changes})
 
 
@@ -192,6 +192,7 @@ def network_at(t: float) -> Insight:
 def drive(recorder: Recorder, trace: np.ndarray, vehicles: int) -> None:
     recorder.state(0.0, "learning", "off")
     recorder.state(0.0, "maneuver", "keep lane")
+    recorder.patch(0.05, PATCH)
     for end in range(5, len(trace) + 1, 5):
         rows = trace[end - 5 : end]
         now = end / 100
@@ -323,6 +324,20 @@ def test_an_instant_without_vehicles_clears_the_traffic(tmp_path):
     assert [len(c) for c in centers] == [3, 0, 2]
 
 
+def test_other_egos_are_boxes_of_their_own_with_their_ids(tmp_path):
+    trace = ego_trace(0.15)
+    with open_recorder(tmp_path / "a.rrd") as recorder:
+        for k, egos in enumerate(((), ("v1", "v7", "v2"), ("v1",))):
+            recorder.write(trace[5 * k : 5 * k + 5], traffic_at(0.0, 4), np.zeros((0, 2)), egos)
+    then = traffic_at(0.0, 4)
+    _, others = rows_of(tmp_path / "a.rrd", "/world/traffic", "Boxes3D:centers")
+    assert [len(c) for c in others] == [4, 2, 3]
+    _, egos = rows_of(tmp_path / "a.rrd", "/world/traffic/egos", "Boxes3D:centers")
+    _, ids = rows_of(tmp_path / "a.rrd", "/world/traffic/egos", "Boxes3D:labels")
+    assert ids == [[], ["v1", "v2"], ["v1"]]
+    np.testing.assert_allclose(np.array(egos[1])[:, 0], then.x[1:3], atol=1 / 64)
+
+
 def test_faster_traffic_is_never_redder_and_the_ends_are_red_and_blue():
     shown = colors.speed_colors(np.array([0.0, 8.0, 16.0, 24.0, 32.0, 60.0]))
     assert [hex(c) for c in shown] == [
@@ -413,11 +428,24 @@ def test_stop_lines_lie_where_the_road_has_them(recorded):
 
 
 def test_a_stretch_with_another_friction_is_a_surface_on_the_asphalt(recorded):
-    vertices = np.array(static_of(recorded, "/world/road/patch", "Mesh3D:vertex_positions"))
-    triangles = np.array(static_of(recorded, "/world/road/patch", "Mesh3D:triangle_indices"))
-    assert area(vertices, triangles) == pytest.approx(40.0 * 3.5)
+    times, (vertices,) = rows_of(recorded, "/world/road/patch", "Mesh3D:vertex_positions")
+    _, (triangles,) = rows_of(recorded, "/world/road/patch", "Mesh3D:triangle_indices")
+    assert times.tolist() == [50_000_000]
+    vertices = np.array(vertices)
+    assert area(vertices, np.array(triangles)) == pytest.approx(40.0 * 3.5)
     assert road.ASPHALT_LEVEL < vertices[:, 2].min() <= vertices[:, 2].max() < road.LINE_LEVEL
     assert static_of(recorded, "/world/road/patch/label", "Points3D:labels") == ["friction × 0.5"]
+
+
+def test_the_stretch_moves_to_another_lane_and_goes_where_none_is_in_sight(tmp_path):
+    beside = PATCH._replace(line=np.add(PATCH.line, (0.0, 3.5)))
+    with open_recorder(tmp_path / "a.rrd") as recorder:
+        for time_, patch in ((0.05, None), (1.0, PATCH), (2.0, beside), (3.0, None)):
+            recorder.patch(time_, patch)
+    times, found = rows_of(tmp_path / "a.rrd", "/world/road/patch", "Mesh3D:vertex_positions")
+    assert times.tolist() == [1_000_000_000, 2_000_000_000, 3_000_000_000]
+    np.testing.assert_allclose(np.subtract(found[1], found[0]), np.tile((0.0, 3.5, 0.0), (42, 1)), atol=1e-5)
+    assert found[2] == []
 
 
 def test_the_stretch_is_where_the_disturbance_says_along_the_path():
@@ -552,6 +580,47 @@ def test_an_unknown_event_level_is_named(tmp_path):
         recorder.event(0.0, "LOUD", "?")
 
 
+def arranged(file: Path) -> tuple[list[str], dict[str, list]]:
+    """Names of all views and tabs of the one layout of a file, and its vertical axes by view in the order sent."""
+    (layout,) = RrdReader(str(file)).blueprints()
+    names, axes = [], {}
+    for chunk in RrdReader(str(file)).stream(store=layout):
+        batch = chunk.to_record_batch()
+        for component in ("ViewBlueprint:display_name", "ContainerBlueprint:display_name"):
+            if component in batch.schema.names:
+                names += [name for (name,) in batch.column(component).to_pylist()]
+        if "ScalarAxis:range" in batch.schema.names:
+            axes.setdefault(str(chunk.entity_path), []).extend(batch.column("ScalarAxis:range").to_pylist())
+    return names, axes
+
+
+TITLES = {plot.title for plot in (*plots.PLOTS.values(), *plots.INSIGHTS.values())}
+
+
+def test_a_finished_file_has_one_layout_whose_axes_were_set_when_the_run_ended(recorded):
+    names, axes = arranged(recorded)
+    assert {*TABS, "Chase camera", "Map", "Events", "Summary"} <= set(names)
+    views = [view for rows in TABS.values() for row in rows for view in row]
+    assert sorted(n for n in names if n in TITLES) == sorted(
+        (plots.PLOTS | plots.INSIGHTS)[view].title for view in views if view in plots.PLOTS | plots.INSIGHTS
+    ), "each view is sent once"
+    assert sum(name.endswith("lies to the left") for name in names) == 2
+    assert len(axes) > 25, "the plots of the trace have ranges now"
+    assert {len(ranges) for ranges in axes.values()} == {1, 2}, "those that the drive has widened are sent again"
+
+
+def test_two_equal_drives_have_equal_layouts(tmp_path):
+    found = []
+    for name in ("a.rrd", "b.rrd"):
+        with open_recorder(tmp_path / name) as recorder:
+            drive(recorder, ego_trace(1.0), 3)
+        reader = RrdReader(str(tmp_path / name))
+        (layout,) = reader.blueprints()
+        columns = [chunk.to_record_batch().to_pydict() for chunk in reader.stream(store=layout)]
+        found.append([{key: value for key, value in row.items() if "RowId" not in key} for row in columns])
+    assert found[0] == found[1]
+
+
 def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     script = (
         "import signal, sys, time\n"
@@ -585,6 +654,9 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
         summary = static_text(files[signal.SIGKILL])
     assert killed[-1] == 8_000_000_000, "only what was held since the last chunk may be lost"
     assert "not finished" in summary[-1]
+    with pytest.warns(RerunWarning, match="no footer"):
+        names, _ = arranged(files[signal.SIGKILL])
+    assert set(TABS) | TITLES <= set(names), "all tabs and plots, as of a run that ended"
 
     assert rerun("verify", files[signal.SIGTERM]) == 0
     terminated, _ = rows_of(files[signal.SIGTERM], "/plots/ego", "trace:speed_long")
@@ -592,11 +664,37 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     assert "stopped early by SystemExit 143" in static_text(files[signal.SIGTERM])[-1]
 
 
+def test_a_viewer_that_does_not_answer_holds_up_the_end_of_a_live_run_for_its_patience_only(tmp_path):
+    script = (
+        "import sys, time\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import test_recording as t\n"
+        "from emran_sumo.recording import stream\n"
+        "stream.PATIENCE = 1.0\n"
+        "with t.open_recorder(t.Path(sys.argv[1]), live=sys.argv[2]) as recorder:\n"
+        "    t.drive(recorder, t.ego_trace(3.0), 5)\n"
+        "print('ended', flush=True)\n"
+    )
+    with socket.socket() as frozen:  # takes the connection, and never says a word
+        frozen.bind(("127.0.0.1", 0))
+        frozen.listen()
+        live = f"rerun+http://127.0.0.1:{frozen.getsockname()[1]}/proxy"
+        found = subprocess.run(
+            [sys.executable, "-c", script, tmp_path / "a.rrd", live],
+            cwd=Path(__file__).parents[1], capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert (found.returncode, found.stdout) == (0, "ended\n")
+    assert "--live: the viewer has not answered" in found.stderr
+    assert rerun("verify", tmp_path / "a.rrd") == 0
+    times, _ = rows_of(tmp_path / "a.rrd", "/plots/ego", "trace:speed_long")
+    assert times[-1] == 3_000_000_000, "the file has it all"
+
+
 def test_a_simulated_minute_among_100_vehicles_stays_below_3_megabytes(recorded, tmp_path):
     with open_recorder(tmp_path / "empty.rrd"):
         pass
     start = (tmp_path / "empty.rrd").stat().st_size
-    assert start < 2e6, "road and layouts, once per file"
+    assert start < 1.2e6, "road and layout, once per file"
     assert 3 * (recorded.stat().st_size - start) < 3e6
 
 

@@ -119,8 +119,8 @@ def resistance(vehicle, speed):
 
 
 @njit
-def _observe(params, memory, motion, period):
-    """Predict, then correct: speed and grade acceleration from wheel speed, accelerometer and pitch gyro."""
+def observe(params, memory, motion, period):
+    """Speed [m/s] and grade acceleration [m/s2], predicted, corrected by wheel speed, accelerometer, pitch gyro."""
     b = memory.grade_accel
     b += period * motion.pitch_rate * math.sqrt(max(GRAVITY * GRAVITY - b * b, 0.0))
     v = memory.speed + period * (0.5 * (motion.specific_force + memory.specific_force) - b)
@@ -197,7 +197,7 @@ def _plain(params, network, memory, motion, speed_reference, period):
 
 @njit
 def _full(params, network, vehicle, memory, motion, speed_reference, accel_reference, period):
-    v, b = _observe(params, memory, motion, period)
+    v, b = observe(params, memory, motion, period)
     known = resistance(vehicle, speed_reference)
     pitching = motion.pitch_rate * math.sqrt(max(GRAVITY * GRAVITY - b * b, 0.0))
     ahead = b + params.grade_lead * pitching

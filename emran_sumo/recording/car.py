@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import rerun as rr
 
-from emran_sumo.recording.colors import GLASS, PAINT, PINK, RED, RUBBER, packed
+from emran_sumo.recording.colors import GLASS, LABEL, PAINT, PINK, RED, RUBBER, packed
+from emran_sumo.recording.stream import Stream
 
 
 class EgoShape(NamedTuple):
@@ -18,19 +19,20 @@ class EgoShape(NamedTuple):
     front_overhang: float
 
 
-def draw_ego(stream: rr.RecordingStream, ego: EgoShape) -> None:
+def draw_ego(stream: Stream, ego: EgoShape) -> None:
     """Log the parts once, under /world/ego."""
     middle = ego.front_axle + ego.front_overhang - ego.length / 2
     cabin = middle - 0.06 * ego.length
-    stream.log("/world/ego/body", _body(ego, middle, cabin), static=True)
-    stream.log("/world/ego/heading", _arrow(ego, cabin), static=True)
+    stream.static("/world/ego/body", _body(ego, middle, cabin))
+    stream.static("/world/ego/heading", _arrow(ego, cabin))
     for axle, x in (("front_wheels", ego.front_axle), ("rear_wheels", ego.front_axle - ego.wheelbase)):
-        stream.log(f"/world/ego/{axle}", _wheels(x, ego.width / 2 - 0.1), static=True)
-    stream.log("/world/ego/brake_lights", _brake_lights(ego, middle), static=True)
-    force = rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED]), show_labels=True)
-    stream.log("/world/ego/side_force", force, static=True)
+        stream.static(f"/world/ego/{axle}", _wheels(x, ego.width / 2 - 0.1))
+    stream.static("/world/ego/brake_lights", _brake_lights(ego, middle))
+    stream.static("/world/ego/side_force", rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED])))
+    word = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), show_labels=True)
+    stream.static("/world/ego/side_force/label", word)
     marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=packed([PINK]))
-    stream.log("/world/ego/marker", marker, static=True)
+    stream.static("/world/ego/marker", marker)
 
 
 def _body(ego: EgoShape, middle: float, cabin: float) -> rr.Boxes3D:

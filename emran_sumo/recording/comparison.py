@@ -9,11 +9,12 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from emran_sumo.recording.arrangement import Arrangement
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.colors import COMPARED, NIGHT, SLATE, packed
 from emran_sumo.recording.comparison_layout import Shown, comparison_layout, curves
 from emran_sumo.recording.layout import TIMELINE
-from emran_sumo.recording.plots import ARCHETYPE, STATES, Curve
+from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH, STATES, Curve
 from emran_sumo.recording.recorder import CHUNK, PLOT_PERIOD
 from emran_sumo.recording.stream import Values, turns
 
@@ -51,12 +52,13 @@ def write_comparison(
         summary: Markdown.
     """
     shown = tuple(Shown(run.label, f"{i}_{run.label}", COMPARED[i - 1]) for i, run in enumerate(runs, 1))
+    end = max(float(run.trace["time"][-1]) for run in runs)
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     stream = rr.RecordingStream(APPLICATION, recording_id=recording, send_properties=False)
     try:
         stream.save(str(part))
         stream.set_log_time_enabled(False)
-        stream.send_blueprint(comparison_layout(shown, _bounds(runs[0].recording)), make_active=True, make_default=True)
+        Arrangement((stream,), APPLICATION).send(comparison_layout(shown, _bounds(runs[0].recording), end))
         stream.send_recording_name(name)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.send_chunks(RrdReader(str(runs[0].recording)).stream().filter(content=TAKEN))
@@ -137,6 +139,7 @@ def _write_frame(stream: rr.RecordingStream, trace: Mapping[str, np.ndarray]) ->
 def _write_curves(stream: rr.RecordingStream, key: str, trace: Mapping[str, np.ndarray], of: tuple[Curve, ...]) -> None:
     """All curves of one controller as components of one entity."""
     names = [rr.ComponentDescriptor(f"{ARCHETYPE}:{curve.component}") for curve in of]
+    stream.log(f"/plots/{key}", rr.SeriesLines.from_fields(widths=LINE_WIDTH), static=True)
     for times, values in _chunks(trace, PLOT_PERIOD, tuple(curve.column for curve in of)):
         columns = [
             rr.ComponentColumn(name, Values((column * curve.scale).astype(np.float32)))

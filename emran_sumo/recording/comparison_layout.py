@@ -24,7 +24,7 @@ class Measured(NamedTuple):
 PLOTS = {
     "cross_track_error": Measured("Cross-track error [m], positive: path lies to the left", "cross_track_error"),
     "heading_error": Measured("Heading error [deg]", "heading_error", "deg"),
-    "speed": Measured("Speed [m/s]", "speed_long"),
+    "speed": Measured("Speed [m/s]; gray: the reference of the first", "speed_long"),
     "speed_error": Measured("Speed error [m/s]", "speed_error"),
     "steering": Measured("Steering command [deg]", "steer_command", "deg"),
     "steering_network": Measured("Steering by the network [deg]", "steer_network", "deg"),
@@ -55,8 +55,10 @@ def curves(of: Shown) -> tuple[Curve, ...]:
     return tuple(Curve(plot.column, of.label, of.color, plot.unit) for plot in PLOTS.values())
 
 
-def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float, float, float]) -> rrb.Blueprint:
-    """The layout that follows the first of the controllers; bounds [m] of the road."""
+def comparison_layout(
+    controllers: tuple[Shown, ...], bounds: tuple[float, float, float, float], end: float
+) -> rrb.Blueprint:
+    """The layout that follows the first of the controllers; bounds [m] of the road, end [s] of the longest run."""
     first = controllers[0].label
     above = rrb.EyeControls3D(kind="Orbital", position=(12, 0, 42), look_target=(12.01, 0, 0), eye_up=(0, 1, 0))
     near = rrb.EyeControls3D(kind="Orbital", position=(1, 0, 11), look_target=(1.01, 0, 0), eye_up=(0, 1, 0))
@@ -64,19 +66,14 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
     left = rrb.Vertical(
         _scene(f"Top-down, follows {first}; traffic of its run in gray", "/world/ego_frame", above, controllers),
         rrb.Horizontal(
-            rrb.Tabs(
-                _scene("Close-up", "/world/ego_frame", near, controllers),
-                _scene("Chase camera", "/world/ego_frame", behind, controllers),
-                road_map(bounds),
-                active_tab=0,
-            ),
-            rrb.TextDocumentView(origin="/summary", name="Summary"),
-            column_shares=[1, 1.4],
+            _scene("Close-up", "/world/ego_frame", near, controllers),
+            rrb.Tabs(_scene("Chase camera", "/world/ego_frame", behind, controllers), road_map(bounds), active_tab=0),
         ),
         rrb.StateTimelineView(origin="/state", name="Maneuvers", time_view=whole_run()),
         row_shares=[3.6, 4.2, 1.6],
     )
-    right = rrb.Tabs(*(_tab(name, plots, controllers) for name, plots in TABS.items()), active_tab=0)
+    table = rrb.TextDocumentView(origin="/summary", name="Table")  # all columns and rows have room here
+    right = rrb.Tabs(table, *(_tab(name, plots, controllers, end) for name, plots in TABS.items()), active_tab=1)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[1.15, 1]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
@@ -85,16 +82,17 @@ def comparison_layout(controllers: tuple[Shown, ...], bounds: tuple[float, float
     )
 
 
-def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...]) -> rrb.Vertical:
-    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
-    return rrb.Vertical(*(_plot(PLOTS[plot], axis, controllers) for plot in plots), name=name)
+def _tab(name: str, plots: tuple[str, ...], controllers: tuple[Shown, ...], end: float) -> rrb.Vertical:
+    axis = whole_run(end)
+    # one legend for all: the colors are the same
+    views = [_plot(PLOTS[plot], axis, controllers, legend=plot == plots[0]) for plot in plots]
+    return rrb.Vertical(*views, row_shares=[1.5] + [1.0] * (len(views) - 1), name=name)
 
 
-def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) -> rrb.TimeSeriesView:
+def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...], legend: bool) -> rrb.TimeSeriesView:
     overrides: dict = {
         f"/plots/{of.key}": [line(Curve(plot.column, of.label, of.color, plot.unit), plot.steps)] for of in controllers
     }
-    corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop
     if plot.column == "speed_long":
         overrides["/plots/reference"] = [
             line(Curve("speed_reference", f"reference of {controllers[0].label}", SLATE), False)
@@ -104,8 +102,7 @@ def _plot(plot: Measured, axis: rrb.TimeAxis, controllers: tuple[Shown, ...]) ->
         name=plot.title,
         contents=list(overrides),
         axis_x=axis,
-        defaults=[rr.SeriesLines.from_fields(widths=1.8)],
-        plot_legend=rrb.PlotLegend(corner),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop) if legend else rrb.PlotLegend(visible=False),
         overrides=overrides,
     )
 

@@ -9,7 +9,7 @@ import rerun as rr
 from emran_sumo.control.emran import LEARNED, NEURONS, SAMPLES, EmranMemory
 from emran_sumo.loop import AT, ControlParams, Networks
 from emran_sumo.recording.colors import AMBER, GREEN, SLATE, TEAL, VIOLET, packed
-from emran_sumo.recording.plots import ARCHETYPE
+from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH
 from emran_sumo.recording.stream import Stream, series
 
 INSIGHT_PERIOD = 500  # ms
@@ -83,6 +83,7 @@ def style_insights(stream: Stream) -> None:
     for network in COLORS:
         shape = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(1.2))
         stream.static(f"/networks/{network}/centers", shape)
+        stream.static(f"/plots/{network}_network", rr.SeriesLines.from_fields(widths=LINE_WIDTH))
 
 
 def send_insights(stream: Stream, network: str, times: np.ndarray, seen: list[Insight]) -> None:

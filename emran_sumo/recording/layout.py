@@ -11,6 +11,7 @@ from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve
 from emran_sumo.recording.stream import TIMELINE
 
 # Tab -> rows of plots; more than four rows do not fit a window of 1080 pixels.
+LEGEND_ROOM = 1.25  # times the run is what a plot of the whole run spans
 FORCES, SPACE_STEERING, SPACE_SPEED = "tire forces", "space steering", "space speed"  # views that are no plots
 TABS = {
     "Overview": (("speed",), ("cross_track_error",), ("steering",), ("neurons",)),
@@ -35,7 +36,6 @@ TABS = {
     ),
     "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",)),
 }
-FIRST_TABS = ("Overview",)
 
 
 class Extents:
@@ -44,6 +44,7 @@ class Extents:
     def __init__(self, curves: int = len(CURVES)) -> None:
         self._low, self._high = np.full(curves, np.inf), np.full(curves, -np.inf)
         self.spaces: dict[str, tuple[np.ndarray, float]] = {}
+        self.end: float | None = None  # s, of the run, once it is known
 
     def include(self, values: np.ndarray) -> None:
         """Take in values (curves, n); NaN counts for nothing."""
@@ -70,16 +71,13 @@ class Extents:
         return ticked(float(low), float(high), 6 if len(plot.curves) > 3 else 5)
 
 
-def layout(bounds: tuple[float, float, float, float], extents: Extents | None = None) -> rrb.Blueprint:
+def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.Blueprint:
     """The layout that follows the ego.
 
     Args:
         bounds: (x_min, y_min, x_max, y_max) [m] of the road, for the map.
-        extents: of what was driven; None while the run goes on: then only the tabs of FIRST_TABS, as every view takes
-            its place in the file.
+        extents: of what has been driven; before anything has, the viewer finds the ranges itself.
     """
-    tabs = TABS if extents is not None else {name: TABS[name] for name in FIRST_TABS}
-    extents = extents or Extents()
     left = rrb.Vertical(
         _top_down(),
         rrb.Horizontal(
@@ -88,12 +86,12 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents | None = 
             column_shares=[1, 1.15],
         ),
         rrb.StateTimelineView(origin="/state", name="Maneuver, learning, disturbance", time_view=whole_run()),
-        row_shares=[5, 4, 2.3],
+        row_shares=[5, 4, 2.9],
     )
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.Tabs(*(_tab(name, entities, extents) for name, entities in tabs.items()), active_tab=0),
-        row_shares=[1, 4.3],
+        rrb.Tabs(*(_tab(name, entities, extents) for name, entities in TABS.items()), active_tab=0),
+        row_shares=[1.3, 4.3],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
@@ -109,22 +107,25 @@ def _events() -> rrb.TextLogView:
     )
 
 
-def whole_run() -> rrb.TimeAxis:
-    return rrb.TimeAxis(
-        view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+def whole_run(end: float | None = None) -> rrb.TimeAxis:
+    """All of the time; with the `end` [s] of the run, room behind it, so that the legend hides no curve."""
+    last = (
+        rrb.TimeRangeBoundary.infinite() if end is None else rrb.TimeRangeBoundary.absolute(seconds=LEGEND_ROOM * end)
     )
+    first = rrb.TimeRangeBoundary.infinite() if end is None else rrb.TimeRangeBoundary.absolute(seconds=0.0)
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
 
 
 def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.Vertical:
     """The overview spans the whole run; the plots of the other tabs zoom together."""
-    axis = whole_run() if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
+    axis = whole_run(extents.end) if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
     parts, shares = [], []
     for row in rows:
         views = [_view(view, axis, extents) for view in row]
         parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
         many = max((len(PLOTS[view].curves) for view in row if view in PLOTS), default=1)
         tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
-        shares.append(1.8 if tall else 1.3 if many > 3 else 1.0)  # room for the picture, for the legend
+        shares.append(1.8 if tall else 1.45 if many > 3 else 1.0)  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
@@ -138,14 +139,15 @@ def _view(name: str, axis: rrb.TimeAxis, extents: Extents) -> rrb.View:
 
 
 def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
-    corner = rrb.Corner2D.LeftTop if plot.steps else rrb.Corner2D.RightTop  # counts grow away from the left
+    sliding = axis.link is not None  # without room behind the end: counts grow away from the left
+    corner = rrb.Corner2D.LeftTop if plot.steps and sliding else rrb.Corner2D.RightTop
     # All curves of an ego are components of one entity: a fifth of the size of one entity per curve.
     return rrb.TimeSeriesView(
         origin=plot.entity,
         name=plot.title,
         axis_x=axis,
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
-        plot_legend=rrb.PlotLegend(corner, visible=len(plot.curves) > 1),
+        plot_legend=rrb.PlotLegend(corner) if len(plot.curves) > 1 else rrb.PlotLegend(visible=False),
         overrides={plot.entity: [line(curve, plot.steps) for curve in plot.curves]},
     )
 
@@ -177,7 +179,6 @@ def _space(network: str, extents: Extents) -> rrb.Spatial3DView:
 def line(curve: Curve, steps: bool) -> rrb.Visualizer:
     style = rr.SeriesLines(
         names=curve.label,
-        widths=2.0,
         colors=packed([curve.color]),
         interpolation_mode="StepAfter" if steps else None,
     )

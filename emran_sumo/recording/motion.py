@@ -71,10 +71,11 @@ class EgoMotion:
         vectors[:, 1] = FORCE_SCALE * pushed
         origins[:, 1] = -vectors[:, 1] - np.sign(pushed) * 0.5 * self._shape.width
         origins[:, 2] = 0.7 * self._shape.height
-        columns = rr.Arrows3D.columns(
-            vectors=vectors, origins=origins, labels=[f"{abs(f) / 1e3:.1f} kN" for f in pushed]
-        )
-        self._stream.send("/world/ego/side_force", times[new], columns.partition((acting != 0.0).astype(int)))
+        counts = (acting != 0.0).astype(int)
+        columns = rr.Arrows3D.columns(vectors=vectors, origins=origins)
+        self._stream.send("/world/ego/side_force", times[new], columns.partition(counts))
+        words = rr.Points3D.columns(positions=origins, labels=[f"{abs(f) / 1e3:.1f} kN" for f in pushed])
+        self._stream.send("/world/ego/side_force/label", times[new], words.partition(counts))
 
     def _send_tires(self, times: np.ndarray, rows: np.ndarray, friction: np.ndarray) -> None:
         """One arrow per axle, left is left and ahead is up; and circles that grow with the load."""

@@ -8,6 +8,8 @@ from emran_sumo.recording.colors import AMBER, BLUE, GREEN, PINK, RED, SLATE, TE
 
 ARCHETYPE = "trace"  # prefix of the component names of all curves
 
+LINE_WIDTH = 2.0  # points
+
 _SCALES = {"": 1.0, "deg": 180.0 / np.pi, "percent": 100.0, "kN": 1e-3}
 
 

@@ -1,36 +1,36 @@
 """One run as one Rerun file: the road, the traffic, the ego, its plots, events and states, on one timeline.
 
-Rows are gathered and sent as columns every 4 s of simulated time: memory stays flat, a killed run loses
-at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
+Rows are gathered and sent as columns every 8 s of simulated time, every 24 s after two minutes: memory stays flat, a
+killed run loses at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from emran_sumo.recording.car import EgoShape, draw_ego
-from emran_sumo.recording.colors import TEAL, packed, speed_colors
+from emran_sumo.recording.colors import TEAL, packed
 from emran_sumo.recording.insight import AT_ONCE, COLORS, Insight, send_insights, style_insights
 from emran_sumo.recording.layout import Extents, layout
 from emran_sumo.recording.motion import EgoMotion
-from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, STATES
+from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, LINE_WIDTH, STATES
 from emran_sumo.recording.road import draw_road, road_shapes
-from emran_sumo.recording.stream import Stream, series, turns
-from emran_sumo.recording.surroundings import Patch, draw_patch, draw_stop_lines, send_signals
+from emran_sumo.recording.stream import Stream, series
+from emran_sumo.recording.surroundings import Patch, PatchSender, draw_stop_lines, send_signals
+from emran_sumo.recording.vehicles import Seen, Vehicles, seen
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
-CHUNK = 4000  # ms of simulated time per chunk
+CHUNK = 8000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
+LIVE_CHUNK = 1000  # ms, where somebody watches
+LONG, LONG_CHUNK = 120_000, 24_000  # ms: after LONG; Rerun keeps 4 kB of each chunk until the file ends
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
-# Positions of the traffic are rounded to 1/64 m, its turns to 1/4096: invisible, and a fifth smaller.
-_GRID, _TURN = 64.0, 4096.0
 
 
 class Recorder:
@@ -47,7 +47,6 @@ class Recorder:
         ego: outline of the ego.
         columns: names of the trace columns, in order.
         limits: of car and controller; hits are events.
-        patch: stretch of the road with another friction.
         live: address of a viewer that is to show the run while it goes on; it may be closed at any time.
 
     Raises:
@@ -65,7 +64,6 @@ class Recorder:
         ego: EgoShape,
         columns: Sequence[str],
         limits: Limits | None = None,
-        patch: Patch | None = None,
         live: str = "",
     ) -> None:
         self._column = {column: i for i, column in enumerate(columns)}
@@ -81,24 +79,25 @@ class Recorder:
         self._chunk: int | None = None
         self._described: set[str] = set()
         self._last_state: dict[str, str] = {}
-        self._extents = Extents(len(CURVES))
+        self.patched: object = None  # the lane whose patch is drawn
+        self._extents = Extents()
         self._insights: dict[str, list[tuple[int, Insight]]] = {}
         self._forget()
 
         shapes = road_shapes(road)
         self._bounds = shapes.bounds
         self._stream = Stream(file, application, recording, live)
-        self._show(layout(self._bounds, Extents(len(CURVES)) if live else None))
-        self._stream.raw.send_recording_name(name)
+        self._stream.arrangement.send(layout(self._bounds, self._extents))
+        self._stream.name(name)
         self._stream.static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        draw_road(self._stream.raw, shapes)
+        draw_road(self._stream, shapes)
         draw_stop_lines(self._stream, road.stop_lines)
-        if patch is not None:
-            draw_patch(self._stream, patch)
-        draw_ego(self._stream.raw, ego)
+        self._patch = PatchSender(self._stream)
+        draw_ego(self._stream, ego)
         self._motion = EgoMotion(self._stream, ego, self._index)
         style_insights(self._stream)
-        self._stream.static("/world/traffic", rr.Boxes3D.from_fields(fill_mode="solid", show_labels=False))
+        self._stream.static("/plots/ego", rr.SeriesLines.from_fields(widths=LINE_WIDTH))
+        self._vehicles = Vehicles(self._stream)
         self._stream.static("/world/reference", rr.LineStrips3D.from_fields(radii=0.12, colors=packed([TEAL])))
         for lane in ("maneuver", "learning"):
             self._describe(lane)
@@ -118,28 +117,28 @@ class Recorder:
             self.close(f"**{self._name}**: stopped early by {kind.__name__} {error}".rstrip())
         self.close()
 
-    def write(self, trace_rows: np.ndarray, traffic: Traffic, reference: np.ndarray) -> None:
+    def write(self, trace_rows: np.ndarray, traffic: Traffic, reference: np.ndarray, egos: Container[str] = ()) -> None:
         """Record one SUMO step.
 
         Args:
             trace_rows: (n, columns) rows of the ego in this step; the last is its pose at the step's end.
             traffic: everybody else at the instant of the last row.
             reference: (m, 2) or (m, 3) points [m] of the path ahead; none where it has ended.
+            egos: ids of those in the traffic that are egos of the run too.
         """
         if self._closed:
             raise RuntimeError("the recording is closed")
         rows = np.array(trace_rows, dtype=np.float64)
         now = round(rows[-1, self._time] * 1e3)
         self._rows.append(rows)
-        self._traffic.append(np.array(traffic[1:], dtype=np.float64))
+        self._traffic.append(seen(traffic, egos))
         if now % REFERENCE_PERIOD == 0:
             ahead = reference if len(reference) else rows[-1:, self._place]
             self._references.append((now, _thinned(ahead)))
-        if self._chunk is None:
-            self._chunk = now // CHUNK
-        if now // CHUNK > self._chunk:
+        period = LIVE_CHUNK if self._live else CHUNK if now <= LONG else LONG_CHUNK
+        if self._chunk is not None and now // period > self._chunk:
             self._flush()
-            self._chunk = now // CHUNK
+        self._chunk = now // period
 
     def event(self, time: float, level: str, text: str) -> None:
         """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
@@ -158,9 +157,13 @@ class Recorder:
         """What the lights show from `time` [s] on: a letter of SUMO per stop line of the road that has a light."""
         self._signals.append((round(time * 1e3), states))
 
-    def network(self, time: float, name: str, seen: Insight) -> None:
+    def patch(self, time: float, patch: Patch | None) -> None:
+        """The stretch of the road with another friction, from `time` [s] on: on another lane, or none in sight."""
+        self._patch.send(round(time * 1e3), patch)
+
+    def network(self, time: float, name: str, looked: Insight) -> None:
         """What the network `name` (steering, speed) is at `time` [s]."""
-        self._insights.setdefault(name, []).append((round(time * 1e3), seen))
+        self._insights.setdefault(name, []).append((round(time * 1e3), looked))
 
     def close(self, summary_markdown: str | None = None, properties: Mapping[str, object] | None = None) -> None:
         """Finish the file: rows still held, summary, properties of the run. Safe to call twice."""
@@ -172,13 +175,10 @@ class Recorder:
         finally:
             self._summary(f"**{self._name}**: finished" if summary_markdown is None else summary_markdown)
             if properties:
-                self._stream.raw.send_property("run", rr.AnyValues(**properties))  # pyright: ignore[reportArgumentType]
+                self._stream.properties("run", properties)
             if not self._live:  # whoever watches has arranged the views by now
-                self._show(layout(self._bounds, self._extents))
+                self._stream.arrangement.send(layout(self._bounds, self._extents))
             self._stream.close()
-
-    def _show(self, blueprint: rrb.Blueprint) -> None:
-        self._stream.raw.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _index(self, column: str) -> int:
         if column not in self._column:
@@ -187,7 +187,7 @@ class Recorder:
 
     def _forget(self) -> None:
         self._rows: list[np.ndarray] = []
-        self._traffic: list[np.ndarray] = []
+        self._traffic: list[Seen] = []
         self._references: list[tuple[int, np.ndarray]] = []
         self._events: list[tuple[int, str, str]] = []
         self._states: dict[str, list[tuple[int, str]]] = {}
@@ -214,9 +214,9 @@ class Recorder:
         for name in COLORS:
             looks = self._insights.get(name, [])
             if looks and (self._closed or len(looks) >= AT_ONCE):
-                times, seen = zip(*looks, strict=True)
-                self._extents.include_space(name, seen[-1])
-                send_insights(self._stream, name, np.array(times), list(seen))
+                times, found = zip(*looks, strict=True)
+                self._extents.include_space(name, found[-1])
+                send_insights(self._stream, name, np.array(times), list(found))
                 looks.clear()
 
     def _note(self, rows: np.ndarray) -> None:
@@ -237,6 +237,7 @@ class Recorder:
         values = (rows[sampled][:, self._sources] * self._scales).T.astype(np.float32)
         values[~np.isfinite(values)] = np.nan  # nobody ahead, nothing to collide with
         self._extents.include(values)
+        self._extents.end = float(rows[-1, self._time])
         columns = [series(name, line) for name, line in zip(self._curves, values, strict=True)]
         self._stream.send("/plots/ego", times[sampled], columns)
 
@@ -248,18 +249,7 @@ class Recorder:
             whens, strips = zip(*self._references, strict=True)
             columns = rr.LineStrips3D.columns(strips=np.array(strips))
             self._stream.send("/world/reference", np.array(whens), columns)
-        self._send_traffic(times)
-
-    def _send_traffic(self, times: np.ndarray) -> None:
-        x, y, yaw, length, width, height, speed = np.concatenate(self._traffic, axis=1)
-        centers = np.column_stack((np.rint(x * _GRID) / _GRID, np.rint(y * _GRID) / _GRID, height / 2))
-        columns = rr.Boxes3D.columns(
-            centers=centers.astype(np.float32),
-            half_sizes=(np.column_stack((length, width, height)) / 2).astype(np.float32),
-            quaternions=np.rint(turns(yaw) * _TURN) / np.float32(_TURN),
-            colors=speed_colors(speed),
-        )
-        self._stream.send("/world/traffic", times, columns.partition([part.shape[1] for part in self._traffic]))
+        self._vehicles.send(times, self._traffic)
 
     def _describe(self, lane: str) -> None:
         """Colors of a lane of the state timeline; the lane appears with them."""

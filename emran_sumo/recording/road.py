@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 
 from emran_sumo.recording.colors import ASPHALT, PAINT, SLATE, packed
+from emran_sumo.recording.stream import Stream
 from emran_sumo.world.records import Road
 
 ASPHALT_LEVEL, LINE_LEVEL = -0.05, 0.02  # m
@@ -76,7 +77,7 @@ def road_shapes(road: Road) -> RoadShapes:
     )
 
 
-def draw_road(stream: rr.RecordingStream, shapes: RoadShapes) -> None:
+def draw_road(stream: Stream, shapes: RoadShapes) -> None:
     """Log the shapes once, under /world/road for the scene and /world/map for the map."""
     if not len(shapes.triangles):
         return
@@ -87,14 +88,16 @@ def draw_road(stream: rr.RecordingStream, shapes: RoadShapes) -> None:
         vertex_normals=np.broadcast_to(np.array([0.0, 0.0, 1.0], dtype=np.float32), shapes.vertices.shape),
         albedo_factor=int(asphalt),
     )
-    stream.log("/world/road/surface", surface, static=True)
+    stream.static("/world/road/surface", surface)
     for entity, lines, color, radius in (
         ("/world/road/borders", shapes.borders, paint, 0.1),
         ("/world/road/dashes", shapes.dashes, paint, 0.08),
         ("/world/map/road", [_raised(line, 0.0) for line in shapes.centers], gray, rr.Radius.ui_points(1.2)),
     ):
         if lines:
-            stream.log(entity, rr.LineStrips3D(lines, radii=radius, colors=[color]), static=True)
+            if len({len(line) for line in lines}) == 1:
+                lines = np.stack(lines)  # as one array, Rerun takes thousands of dashes at once
+            stream.static(entity, rr.LineStrips3D(lines, radii=radius, colors=[color]))
 
 
 def offset(line: np.ndarray, distance: float) -> np.ndarray:

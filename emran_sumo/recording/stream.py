@@ -1,7 +1,10 @@
 """The open file of a recording: what never changes, and columns of what does."""
 
 import contextlib
-from collections.abc import Iterable
+import sys
+import threading
+from collections.abc import Iterable, Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,24 +12,33 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from emran_sumo.recording.arrangement import Arrangement
+
 TIMELINE = "sim_time"
+PATIENCE = 5.0  # s that a viewer may take to answer
+FROZEN = "emran-sumo: --live: the viewer has not answered for {:g} s and is left alone; the recording is complete."
 _MILLISECOND = 1_000_000  # ns
 
 
 class Stream:
-    """One .rrd file; `raw` is Rerun's own stream. live: address of a viewer that sees the same."""
+    """One .rrd file, and the viewer at the address `live` that sees the same.
+
+    Each has a stream of Rerun's of its own: a viewer that is slow, frozen or gone must not hold up the file.
+    """
 
     def __init__(self, file: Path | str, application: str, recording: str, live: str = "") -> None:
         Path(file).parent.mkdir(parents=True, exist_ok=True)
-        # No wall-clock time anywhere: it would make equal runs differ.
-        self.raw = rr.RecordingStream(application, recording_id=recording, send_properties=False)
-        self.raw.set_sinks(*[rr.FileSink(str(file))] + ([rr.GrpcSink(live)] if live else []))
-        self._live = bool(live)
-        self.raw.set_log_time_enabled(False)
+        self._file = _opened(rr.FileSink(str(file)), application, recording)
+        self._viewer = _opened(rr.GrpcSink(live), application, recording) if live else None
+        self.both = (self._file,) if self._viewer is None else (self._file, self._viewer)
+        self.arrangement = Arrangement(self.both, application)
 
     def static(self, entity: str, *shapes: rr.AsComponents) -> None:
         """Log what holds at all times."""
-        self.raw.log(entity, *shapes, static=True)
+        batches = [batch for shape in shapes for batch in shape.as_component_batches()]
+        columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
+        for stream in self.both:
+            stream.send_columns(entity, [], columns)
 
     def send(self, entity: str, milliseconds: np.ndarray, columns: Iterable[rr.ComponentColumn]) -> None:
         """Log columns, one row per time; none for no times."""
@@ -34,17 +46,55 @@ class Stream:
             return
         # Whole nanoseconds: Rerun truncates times given as floating-point seconds.
         duration = (np.asarray(milliseconds).astype(np.int64) * _MILLISECOND).astype("timedelta64[ns]")
-        self.raw.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=duration)], columns)
+        given = list(columns)
+        for stream in self.both:
+            stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=duration)], given)
 
-    def close(self) -> None:
-        """Finish the file."""
-        self.flush()
-        self.raw.disconnect()
+    def name(self, text: str) -> None:
+        """What the viewer lists the recording as."""
+        for stream in self.both:
+            stream.send_recording_name(text)
+
+    def properties(self, group: str, values: Mapping[str, object]) -> None:
+        """Facts about the recording."""
+        for stream in self.both:
+            stream.send_property(group, rr.AnyValues(**values))  # pyright: ignore[reportArgumentType]
 
     def flush(self) -> None:
-        """Write what is on its way; a viewer that has been closed raises, and the file is finished all the same."""
-        with contextlib.suppress(RuntimeError) if self._live else contextlib.nullcontext():
-            self.raw.flush()
+        """Write what is on its way to the file."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file; a viewer that has stopped answering is left alone after PATIENCE."""
+        self._file.flush()
+        self._file.disconnect()
+        if self._viewer is None:
+            return
+        farewell = threading.Thread(target=_finish, args=(self._viewer,), daemon=True)
+        farewell.start()
+        farewell.join(PATIENCE)
+        if farewell.is_alive():
+            print(FROZEN.format(PATIENCE), file=sys.stderr, flush=True)
+            rr.unregister_shutdown()  # it would wait for the viewer when Python ends
+
+
+def _opened(sink: rr.FileSink | rr.GrpcSink, application: str, recording: str) -> rr.RecordingStream:
+    """A stream without wall-clock times, which would make equal runs differ.
+
+    Nor may the wall's clock decide what is sent together: what is logged waits for a flush.
+    """
+    waiting = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+    stream = rr.RecordingStream(application, recording_id=recording, send_properties=False, batcher_config=waiting)
+    stream.set_sinks(sink)
+    stream.set_log_time_enabled(False)
+    return stream
+
+
+def _finish(viewer: rr.RecordingStream) -> None:
+    """Say goodbye; a viewer that has been closed raises."""
+    with contextlib.suppress(RuntimeError):
+        viewer.flush()
+    viewer.disconnect()
 
 
 class Values(NamedTuple):

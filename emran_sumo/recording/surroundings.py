@@ -7,7 +7,7 @@ import rerun as rr
 
 from emran_sumo.path import Path
 from emran_sumo.plant.disturbance import DisturbanceParams
-from emran_sumo.recording.colors import PAINT, SIGNAL_COLORS, SLATE, SLIPPERY, packed
+from emran_sumo.recording.colors import LABEL, PAINT, SIGNAL_COLORS, SLIPPERY, packed
 from emran_sumo.recording.road import ASPHALT_LEVEL, LINE_LEVEL, offset, ribbon
 from emran_sumo.recording.stream import Stream
 from emran_sumo.world.records import StopLine
@@ -66,23 +66,41 @@ def send_signals(stream: Stream, changes: list[tuple[int, str]]) -> None:
     stream.send("/world/signals/lamps", np.array(times), rr.Points3D.columns(colors=colors).partition(lengths))
 
 
-def draw_patch(stream: Stream, patch: Patch) -> None:
-    """Log the stretch once, as a tinted surface with a word at its begin."""
-    left, right = offset(patch.line, 0.5 * patch.width), offset(patch.line, -0.5 * patch.width)
-    flat = np.concatenate((left, right))
-    vertices = np.column_stack((flat, np.full(len(flat), PATCH_LEVEL)))
-    surface = rr.Mesh3D(
-        vertex_positions=vertices,
-        triangle_indices=ribbon(len(left)).astype(np.uint32),
-        vertex_normals=np.broadcast_to(np.array([0.0, 0.0, 1.0], dtype=np.float32), vertices.shape),
-        albedo_factor=int(packed([SLIPPERY])[0]),
-    )
-    stream.static("/world/road/patch", surface)
-    word = rr.Points3D(
-        [(*patch.line[0], 0.1)], radii=rr.Radius.ui_points(0.1), colors=packed([SLATE]),
-        labels=f"friction × {patch.friction:g}", show_labels=True,
-    )  # fmt: skip
-    stream.static("/world/road/patch/label", word)
+class PatchSender:
+    """Draws the stretch as a tinted surface with a word at its begin, anew when it is on another lane."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._drawn: Patch | None = None
+
+    def send(self, time: int, patch: Patch | None) -> None:
+        """Draw it from `time` [ms] on; None takes away what was drawn."""
+        if patch is not None:
+            if self._drawn is None:
+                word = rr.Points3D.from_fields(
+                    radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), labels=f"friction × {patch.friction:g}",
+                    show_labels=True,
+                )  # fmt: skip
+                self._stream.static("/world/road/patch/label", word)
+                surface = rr.Mesh3D.from_fields(albedo_factor=int(packed([SLIPPERY])[0]))
+                self._stream.static("/world/road/patch", surface)
+            left, right = offset(patch.line, 0.5 * patch.width), offset(patch.line, -0.5 * patch.width)
+            flat = np.concatenate((left, right))
+            vertices, triangles = np.column_stack((flat, np.full(len(flat), PATCH_LEVEL))), ribbon(len(left))
+            place = np.array([(*patch.line[0], 0.1)])
+        elif self._drawn is not None:
+            vertices, triangles, place = (np.zeros((0, 3)) for _ in range(3))
+        else:
+            return
+        self._drawn = patch
+        normals = np.broadcast_to(np.array([0.0, 0.0, 1.0], dtype=np.float32), vertices.shape)
+        surface = (
+            *rr.Mesh3D.columns(vertex_positions=vertices, vertex_normals=normals).partition([len(vertices)]),
+            *rr.Mesh3D.columns(triangle_indices=triangles.astype(np.uint32)).partition([len(triangles)]),
+        )
+        self._stream.send("/world/road/patch", np.array([time]), surface)
+        mark = rr.Points3D.columns(positions=place).partition([len(place)])
+        self._stream.send("/world/road/patch/label", np.array([time]), mark)
 
 
 def _raised(ends: np.ndarray) -> np.ndarray:

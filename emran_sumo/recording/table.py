@@ -9,6 +9,8 @@ import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
+AT_ONCE = 60_000  # rows: ten minutes at 100 Hz
+
 
 def write_trace(
     file: Path | str, columns: Sequence[str], rows: np.ndarray, units: Mapping[str, str] | None = None
@@ -34,12 +36,15 @@ def write_trace(
             for name in columns
         ]
     )
-    arrays = [pa.array(np.ascontiguousarray(table[:, i])) for i in range(len(columns))]
     target = Path(file)
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
     try:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), part, compression="zstd")
+        with pq.ParquetWriter(part, schema, compression="zstd") as writer:
+            for first in range(0, max(len(table), 1), AT_ONCE):  # long traces are not copied as a whole
+                rows = table[first : first + AT_ONCE]
+                arrays = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
+                writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)

@@ -216,11 +216,10 @@ def open_pool(settings: Settings, log: Path, located: list[Located], told: Calla
         from emran_sumo.study.cluster import ClusterPool
 
         return ClusterPool(settings.dask)
-    from emran_sumo import kernels, warm
+    from emran_sumo import warm
 
-    kinds = {warm.kernel_set(one.values): one.values for one in located}
-    for name, scenario in kinds.items():
-        if not kernels.compiled_before(name):
+    for scenario in {warm.kinds(one.values): one.values for one in located}.values():
+        if not warm.warm(scenario):
             told()
             warm.warm_kernels(scenario)
     return LocalPool(settings.processes(), log)

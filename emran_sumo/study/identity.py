@@ -12,6 +12,7 @@ from pathlib import Path
 from emran_sumo import __version__, locate
 from emran_sumo.errors import UserError
 from emran_sumo.scenario import Located, flat, to_dict
+from emran_sumo.user_code import sources
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # rooms that no number of a run passes through
@@ -43,7 +44,7 @@ def of(located: Iterable[Located]) -> dict[str, str]:
 
 
 def inputs(located: Located) -> dict[str, Path]:
-    """Files that a scenario names, and those that a SUMO configuration among them names.
+    """Files that a scenario names, those that a SUMO configuration among them names, and an own controller's source.
 
     Raises:
         UserError: a network or route file is missing.
@@ -57,7 +58,7 @@ def inputs(located: Located) -> dict[str, Path]:
             if file is not None:
                 found[text] = file
                 found |= _configured(file) if key == "config" else {}
-    return found
+    return found | sources(located)
 
 
 def _file(folder: Path, key: str, text: str) -> Path | None:

@@ -217,8 +217,13 @@ def in_order_of_driving(runs: list[Run]) -> list[Run]:
 
 def replay(run: Run) -> str:
     """The command that drives this run again, with a recording."""
-    words = ["emran-sumo", "run", run.scenario]
-    for key, value in run.given.items():
+    return command(run.scenario, run.given)
+
+
+def command(scenario: str, given: dict[str, Any]) -> str:
+    """The command that drives a scenario with dotted keys."""
+    words = ["emran-sumo", "run", scenario]
+    for key, value in given.items():
         words += [f"--{key}", str(value)] if key in ("controller", "seed") else ["--set", f"{key}={_text(value)}"]
     return shlex.join(words)
 

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from emran_sumo.errors import Interrupted
+from emran_sumo.errors import Interrupted, UserError
 
 DONE, FAILED, CHANGED, NO_SPACE, INTERRUPTED = "done", "failed", "changed", "no space", "interrupted"
 CLOCKS = ("run.real_time_factor",)  # metrics of the machine, not of the run
@@ -190,4 +190,4 @@ def scalars(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split()) or "no message"
-    return text if type(error).__name__ == "UserError" else f"{type(error).__name__}: {text}"
+    return text if isinstance(error, UserError) else f"{type(error).__name__}: {text}"

@@ -19,8 +19,9 @@ from emran_sumo.world.lanes import (
     smooth_path,
 )
 from emran_sumo.world.records import Lane, Road
+from emran_sumo.world.turnaround import turned
 
-BEHIND = 30.0  # m of the lane before that a path keeps, for the rear of the car
+BESIDE_LOOP = 3.0  # m
 HORIZON = 6000.0  # m that a path looks ahead at the most
 
 
@@ -33,12 +34,24 @@ class Beside(NamedTuple):
     offset: float
 
 
+class Loop(NamedTuple):
+    """Where paths turn back wider than the road: points (n, 2) [m], and the lanes that turn back."""
+
+    points: np.ndarray
+    lanes: tuple[str, ...]
+
+    def is_near(self, x: float, y: float) -> bool:
+        """Whether (x, y) [m] is beside the loop."""
+        return bool((np.hypot(*(self.points - (x, y)).T) < BESIDE_LOOP).any())
+
+
 class RoadMap:
     """Geometry of the running simulation's network; every shape is asked of SUMO once."""
 
     def __init__(self) -> None:
         self._shapes: dict[str, np.ndarray] = {}
         self._paths: dict[tuple[str, ...], Path] = {}
+        self._loops: dict[tuple[str, str], Loop] = {}
 
     def shape(self, lane: str) -> np.ndarray:
         """Center line (n, 3) of a lane [m]."""
@@ -66,11 +79,33 @@ class RoadMap:
         if chain not in self._paths:
             if len(self._paths) > 256:
                 self._paths.clear()
-            tolerances = [JUNCTION_TOLERANCE if name.startswith(":") else LANE_TOLERANCE for name in chain]
-            # dense: a tolerance ends where its lane ends
-            points = joined([dense(self.shape(name)) for name in chain], tolerances)
+            points = joined(*self._lines(chain))
             self._paths[chain] = smooth_path(_extended(self._loosened(points, chain)))
         return self._paths[chain]
+
+    def _lines(self, chain: tuple[str, ...]) -> tuple[list[np.ndarray], list[float]]:
+        """Center lines to follow, with room to turn where the route turns back, and the tolerance of each [m]."""
+        lines = [self.shape(name) for name in chain]
+        tolerances = [JUNCTION_TOLERANCE if name.startswith(":") else LANE_TOLERANCE for name in chain]
+        outside = [k for k, name in enumerate(chain) if not name.startswith(":")]
+        for one, following in reversed(list(itertools.pairwise(outside))):
+            loop = turned(lines[one], lines[following])
+            if loop is not None:
+                turning = chain[one : following + 1]
+                self._loops[turning[0], libsumo.lane.getEdgeID(turning[-1])] = Loop(loop[1][:, :2], turning)
+                lines[one : following + 1] = loop
+                tolerances[one : following + 1] = [LANE_TOLERANCE] * 3
+        # dense: a tolerance ends where its lane ends
+        return [dense(line) for line in lines], tolerances
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether a path turns back somewhere."""
+        return bool(self._loops)
+
+    def loop(self, lane: str, following: str) -> Loop | None:
+        """The loop on which paths turn back from a lane to an edge, if they do."""
+        return self._loops.get((lane, following))
 
     def _loosened(self, points: np.ndarray, chain: tuple[str, ...]) -> np.ndarray:
         """The points with room for lanes that go on beside their end."""

@@ -8,17 +8,17 @@ import math
 from collections.abc import Iterator
 
 import libsumo
-import numpy as np
 
 from emran_sumo.path import Path
 from emran_sumo.world import braking, phantom, session, wishes
 from emran_sumo.world.phantom import Phantoms
-from emran_sumo.world.records import NOBODY, Intent, Pose, Road, TakeOver, Traffic
+from emran_sumo.world.records import Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
 from emran_sumo.world.session import SUMO_ERRORS, told
+from emran_sumo.world.sight import Sight
+from emran_sumo.world.turning import Turning
 
-SIGHT = 300.0  # m around the ego in which traffic is read
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
@@ -48,7 +48,7 @@ class SumoWorld:
         self.step = step
         self._pending = False
         self._closed = False
-        self._sizes: dict[str, tuple[float, float, float]] = {}
+        self._sight = Sight()
         self._phantoms = Phantoms()
         self._held: dict[str, int] = {}
         self._searched: dict[str, str] = {}  # off-road egos and where they want to go
@@ -63,6 +63,7 @@ class SumoWorld:
         unknown = session.start(options, step, seed, gui)
         self.notes: tuple[str, ...] = (f"left out, as SUMO does not know it: {', '.join(unknown)}",) if unknown else ()
         self.map = RoadMap()
+        self._turning = Turning(self.map)
         try:
             self._limit_speed(speed_limit)
         except BaseException:
@@ -129,12 +130,7 @@ class SumoWorld:
 
     def size(self, name: str) -> tuple[float, float, float]:
         """Length, width and height of a vehicle [m]."""
-        found = self._sizes.get(name)
-        if found is None:
-            vehicle = libsumo.vehicle
-            found = (vehicle.getLength(name), vehicle.getWidth(name), vehicle.getHeight(name))
-            self._sizes[name] = found
-        return found
+        return self._sight.size(name)
 
     def route_length(self, name: str) -> float:
         """Length [m] of what is left of a vehicle's route, junctions not counted."""
@@ -157,9 +153,8 @@ class SumoWorld:
         params = {key: value for key, value in params.items() if value}
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
-        seen = [libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED]
         session.show(ego)
-        vehicle.subscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT, seen)
+        self._sight.look_from(ego)
         lane = vehicle.getLaneID(ego)
         edge, index = libsumo.lane.getEdgeID(lane), vehicle.getLaneIndex(ego)
         position, yaw = vehicle.getPosition(ego), math.radians(90.0 - vehicle.getAngle(ego))
@@ -196,10 +191,7 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {
-                ego: braking.speed_cap(ego, self._lags[ego], self.step) if self.knows(ego) else math.inf
-                for ego in poses
-            }
+            caps = {ego: braking.speed_cap(ego, self._lags[ego], self.step) for ego in poses if self.knows(ego)}
             for ego, pose in poses.items():
                 if not self.knows(ego):
                     continue
@@ -210,13 +202,19 @@ class SumoWorld:
             libsumo.simulation.executeMove()
             self._note(fresh=True)
             intents = {ego: self._intent(ego) for ego in poses}
-            return {ego: intent._replace(speed=min(intent.speed, caps[ego])) for ego, intent in intents.items()}
+            return {
+                ego: intent._replace(speed=min(intent.speed, caps.get(ego, math.inf)))
+                for ego, intent in intents.items()
+            }
 
     def _intent(self, ego: str) -> Intent:
         vehicle = libsumo.vehicle
-        if not self.lane_of(ego):
+        lane = self.lane_of(ego)
+        if not lane:
             return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
         speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
+        if self.map.has_loops:
+            speed = min(speed, self._turning.speed(ego, lane, self.neighbors(ego)))
         if change.needs_room and ego not in self._phantoms:
             speed = min(speed, braking.speed_for_room(ego, self.step))
         return Intent(speed, change.side)
@@ -290,8 +288,13 @@ class SumoWorld:
 
         The phantom gives traffic in both lanes the ego as its leader.
         """
-        lane = self._overlapped(ego, pose)
         bumper = self._bumper(ego, pose)
+        beside = self._turning.look(ego, self.lane_of(ego), *bumper) if self.map.has_loops else None
+        if beside is not None:
+            session.move(ego, beside.x, beside.y, beside.yaw)
+            self._phantoms.drop(ego)
+            return
+        lane = self._overlapped(ego, pose)
         session.move(ego, *bumper, pose.yaw, keep_route=ego not in self._searched)
         if lane is None:
             self._phantoms.drop(ego)
@@ -319,9 +322,14 @@ class SumoWorld:
         return self.map.neighbor(lane, 1 if offset > 0 else -1)
 
     def mirror_error(self, ego: str, pose: Pose) -> float:
-        """Distance [m] between SUMO's pose of the ego and `pose`; the yaw counts with the length of the car."""
+        """Distance [m] between SUMO's pose of the ego and `pose`; the yaw counts with the length of the car.
+
+        Infinite off the road; not a number on a loop that SUMO's road has no room for.
+        """
         if not self.lane_of(ego):
             return math.inf
+        if self._turning.is_on(ego):
+            return math.nan
         x, y = libsumo.vehicle.getPosition(ego)
         turn = math.radians(90.0 - libsumo.vehicle.getAngle(ego)) - pose.yaw
         turn = math.remainder(turn, 2.0 * math.pi)
@@ -329,19 +337,8 @@ class SumoWorld:
         return math.hypot(x - bumper[0], y - bumper[1]) + abs(turn) * self._fronts[ego]
 
     def neighbors(self, ego: str) -> Traffic:
-        """Traffic within SIGHT of the ego, without the ego and the phantoms."""
-        seen = libsumo.vehicle.getContextSubscriptionResults(ego)
-        ids = [name for name in seen if name != ego and not name.startswith(phantom.PREFIX)]
-        if not ids:
-            return NOBODY
-        raw = np.array(
-            [(*seen[i][libsumo.VAR_POSITION], seen[i][libsumo.VAR_ANGLE], seen[i][libsumo.VAR_SPEED]) for i in ids]
-        )
-        length, width, height = np.array([self.size(name) for name in ids]).T
-        yaw = np.radians(90.0 - raw[:, 2])
-        x = raw[:, 0] - 0.5 * length * np.cos(yaw)
-        y = raw[:, 1] - 0.5 * length * np.sin(yaw)
-        return Traffic(tuple(ids), x, y, yaw, length, width, height, raw[:, 3])
+        """Traffic around the ego, without the ego and the phantoms."""
+        return self._sight.traffic(ego)
 
     def lane_of(self, ego: str) -> str:
         """Lane that SUMO has the ego on; "" when it is off the road or gone."""
@@ -374,8 +371,7 @@ class SumoWorld:
         """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
         self._phantoms.drop(ego)
         with contextlib.suppress(*SUMO_ERRORS):
-            # SUMO would look around a vehicle that it has no more, and stop
-            libsumo.vehicle.unsubscribeContext(ego, libsumo.CMD_GET_VEHICLE_VARIABLE, SIGHT)
+            self._sight.close(ego)
             libsumo.vehicle.remove(ego, REMOVE_ARRIVED)
 
     def collisions(self) -> list[tuple[str, str]]:

@@ -1,0 +1,33 @@
+"""Every shipped scenario is driven: some seconds of each always, all of each, and better than unaided, when asked."""
+
+import pytest
+
+from emran_sumo import drive, scenario, shipped
+
+TRAFFIC = [name for name in shipped.scenarios() if scenario.load(name).values.world == "sumo"]
+DISTURBED = {"wet_curves", "bridge_gust"}  # friction patches, side gusts
+
+
+def driven(name: str, folder, **given) -> drive.RunResult:
+    values = {key: (value, "test") for key, value in given.items()}
+    return drive.run(scenario.load(name, values), folder, record=False)
+
+
+@pytest.mark.parametrize("name", TRAFFIC)
+def test_its_first_seconds_are_driven_without_harm(name, tmp_path):
+    result = driven(name, tmp_path, duration=4.0)
+    assert result.ended == "finished", result.reason
+    assert result.metrics["run"]["simulated"] == pytest.approx(4.0)
+    assert result.metrics["run"]["mirror_error_max"] < 1e-6
+    assert result.metrics["safety"]["collisions"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRAFFIC)
+def test_all_of_it_is_driven_and_better_than_by_the_unaided_controller(name, tmp_path):
+    ours = driven(name, tmp_path / "ours")
+    assert ours.ended in ("finished", "arrived"), ours.reason
+    unaided = driven(name, tmp_path / "unaided", controller="pid-stanley")
+    factor = 2.0 if name in DISTURBED else 1.0
+    for key in ("cross_track_error_rms", "speed_error_rms"):
+        assert factor * ours.metrics["tracking"][key] < unaided.metrics["tracking"][key], key
