@@ -48,8 +48,8 @@ njit = numba.njit(cache=True)
 
 
 def compiled_before(kind: str = ALL) -> bool:
-    """Whether a complete set of kernels lies in the cache (see `mark_compiled`): ALL of a run, or those for an OWN
-    controller on top."""
+    """Whether a complete set of kernels lies in the cache (see `mark_compiled`): ALL of a run, those for an OWN
+    controller on top, or either under another law (`warm.kinds`)."""
     return (CACHE_FOLDER / kind).exists() or bool(getattr(config, "DISABLE_JIT", 0))
 
 

@@ -64,9 +64,9 @@ def warm(scenario: Scenario) -> bool:
 
 
 def kinds(scenario: Scenario) -> tuple[str, ...]:
-    """Names of the sets of kernels that a run needs: each law is compiled when it is first used."""
+    """Names of the sets of kernels that a run needs; a law or a filter over all neurons is compiled when first used."""
     law = scenario.lateral.law.replace("lq_preview", "lqr")
     parts = [law] if law != "stanley" else []
     parts += [half for half in ("longitudinal", "lateral") if getattr(scenario, half).emran.all_neurons]
-    known = "-".join((kernels.ALL, *parts))
-    return (known, kernels.OWN) if is_own(scenario.controller) else (known,)
+    sets = (kernels.ALL, kernels.OWN) if is_own(scenario.controller) else (kernels.ALL,)
+    return tuple("-".join((name, *parts)) for name in sets)

@@ -25,10 +25,10 @@ class LqrParams(NamedTuple):
     cross_track_rate is the weight of the speed across the path, yaw_rate that of the yaw rate beyond the bend's.
     """
 
-    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 2.9269
-    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.011684
-    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.010008
-    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.072927
+    cross_track: Annotated[float, Field(gt=0, le=1000), Unit("1/m^2")] = 2.8684
+    cross_track_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/m^2")] = 0.015353
+    heading: Annotated[float, Field(ge=0, le=1000), Unit("1/rad^2")] = 0.011061
+    yaw_rate: Annotated[float, Field(ge=0, le=1000), Unit("s^2/rad^2")] = 0.070803
 
 
 class LqPreviewParams(NamedTuple):

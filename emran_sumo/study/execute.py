@@ -218,8 +218,7 @@ def open_pool(settings: Settings, log: Path, located: list[Located], told: Calla
         return ClusterPool(settings.dask)
     from emran_sumo import warm
 
-    kinds = {warm.kinds(one.values): one.values for one in located}
-    for scenario in kinds.values():
+    for scenario in {warm.kinds(one.values): one.values for one in located}.values():
         if not warm.warm(scenario):
             told()
             warm.warm_kernels(scenario)
