@@ -16,7 +16,7 @@ from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.scenario import Scenario
-from emran_sumo.world.lanes import reached, speed_cap
+from emran_sumo.world.lanes import speed_cap, way_in
 from emran_sumo.world.records import Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
@@ -39,8 +39,6 @@ SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
 LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
-BESIDE_PATH = 0.3  # m beside the path from where a vehicle is led to it
-WAY_IN, LEAST_WAY_IN = 4.0, 20.0  # s, m
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
@@ -105,7 +103,7 @@ class Ego:
             pose = pose._replace(speed=cap)
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
         self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
-        self.take_path(handed.path, _way_in(handed.path, pose, guess))
+        self.take_path(handed.path, way_in(handed.path, pose, guess))
         self.route_offset = handed.route_position - self.state.position
         self.networks = blank_networks(scenario.control)
         self.tick = 0
@@ -374,14 +372,6 @@ class Ego:
                         text = f"{net} network: neuron {what}, {count} {plural}"
                         self.events.append(Event(float(row[AT.time]), "DEBUG", text))
             last = row
-
-
-def _way_in(path: Path, pose: Pose, guess: float) -> Path:
-    """The path, reached by a lateral move where SUMO has the vehicle beside it, as where lanes do not meet."""
-    here = nearest(path, pose.x, pose.y, guess)
-    if math.hypot(here.x - pose.x, here.y - pose.y) < BESIDE_PATH:
-        return path
-    return reached(path, pose.x, pose.y, pose.yaw, here.position, max(WAY_IN * pose.speed, LEAST_WAY_IN))
 
 
 def _caps(path: Path, scenario: Scenario) -> np.ndarray:

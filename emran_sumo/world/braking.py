@@ -5,6 +5,8 @@ import math
 import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
+WAIT_BEFORE = 0.4  # m before a place to wait inside a junction
+MOVING = 0.5  # m/s
 REACH_INSIDE = 40.0  # m from a junction in which places to wait inside it are looked at
 SLOW = 0.3  # m/s: below it the lag costs less than the room before the line
 CONGESTED = 60.0 / 3.6  # m/s: below it SUMO overtakes on the right as well
@@ -39,6 +41,8 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     gaps = [_to_stop(ego)]
     # nearer than the brakes need, SUMO has decided to go on
     gaps += [gap for gap in (_to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
+    inside = _to_wait_inside(ego, lane)
+    gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside >= needed else []
     gap = min(gaps)
     stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
     return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
@@ -64,23 +68,51 @@ def _to_light(ego: str) -> float:
 
 
 def _to_closed(ego: str, lane: str, speed: float) -> float:
-    """Distance to where somebody has to be let pass: the end of the lane, or the place to wait inside the junction
-    behind it; lights are looked at elsewhere [m]."""
-    if speed < SLOW:
+    """Distance to the end of the lane, where somebody has to be let pass; lights are looked at elsewhere [m]."""
+    if speed < SLOW or lane.startswith(":"):
         return math.inf
-    links = libsumo.lane.getLinks(lane) if lane.startswith(":") else libsumo.vehicle.getNextLinks(ego)
+    links = libsumo.vehicle.getNextLinks(ego)
     if not links:
         return math.inf
-    left = libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
     # hasPrio, isOpen, hasFoe, internal lane, state
-    _, _, is_open, _, inside, state, *_ = links[0]
-    if not is_open and state not in STOP_STATES:
-        return left
-    if not inside or left > REACH_INSIDE:
+    _, _, is_open, _, _, state, *_ = links[0]
+    return math.inf if is_open or state in STOP_STATES else _left(ego, lane)
+
+
+def _to_wait_inside(ego: str, lane: str) -> float:
+    """Distance to the place inside the junction where somebody has to be let pass [m].
+
+    SUMO counts whoever is a hand's breadth beyond it as gone on.
+    """
+    left = _left(ego, lane)
+    if left > REACH_INSIDE:
         return math.inf
-    further = libsumo.lane.getLinks(inside)
-    waits = further and further[0][4] and not further[0][2]
-    return left + libsumo.lane.getLength(inside) if waits else math.inf
+    if lane.startswith(":"):
+        return left if _has_to_wait(lane) else math.inf
+    links = libsumo.vehicle.getNextLinks(ego)
+    inside = links[0][4] if links else ""
+    return left + libsumo.lane.getLength(inside) if inside and _has_to_wait(inside) else math.inf
+
+
+def _has_to_wait(inside: str) -> bool:
+    """Whether a lane inside a junction ends at a place to wait, and somebody has to be let pass there.
+
+    A link is closed to whoever comes; those who are crossing have come, and are looked for on the lanes they cross.
+    """
+    links = libsumo.lane.getLinks(inside)
+    if not links or not links[0][4]:
+        return False
+    _, _, is_open, _, further, *_ = links[0]
+    return not is_open or any(_is_driven_on(foe) for foe in libsumo.lane.getInternalFoes(further))
+
+
+def _is_driven_on(lane: str) -> bool:
+    vehicle = libsumo.vehicle
+    return any(vehicle.getSpeed(name) > MOVING for name in libsumo.lane.getLastStepVehicleIDs(lane))
+
+
+def _left(ego: str, lane: str) -> float:
+    return libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
 
 
 def _behind_leader(ego: str, speed: float, lag: float) -> float:

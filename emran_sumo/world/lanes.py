@@ -1,11 +1,14 @@
 """From a chain of lanes to a smooth path that a car can follow."""
 
+import math
+
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
 from scipy.ndimage import maximum_filter1d
 
-from emran_sumo.path import Path, point_at, shifted, wrap
+from emran_sumo.path import Path, nearest, point_at, shifted, wrap
+from emran_sumo.world.records import Pose
 
 SPACING = 0.25  # m between points of a path
 SAMPLING = 1.0  # m between the points that are smoothed
@@ -18,6 +21,8 @@ TIGHTEST = 6.0  # m, radius that a car can turn
 ROUNDS = 20
 SHIFT_TURN = 0.35  # rad between two lanes that go on in the same direction
 SHIFT_ACCEL = 2.0  # m/s2 across, of a lane that goes on beside its end
+BESIDE_PATH = 0.3  # m beside the path from where a vehicle is led to it
+WAY_IN_ACCEL, LEAST_WAY_IN = 1.5, 8.0  # m/s2 across, m
 SHIFT_LEAST, SHIFT_MOST = 0.4, 4.0  # m
 
 
@@ -153,6 +158,16 @@ def blended(target: Path, path: Path, position: float, target_position: float, l
     offset[behind], slope[behind], bend[behind] = d0 + d1 * back, d1 * length, 0.0
     offset[ahead] = slope[ahead] = bend[ahead] = 0.0
     return shifted(target, offset, slope / length, bend / length**2)
+
+
+def way_in(path: Path, pose: Pose, guess: float) -> Path:
+    """The path, reached by a lateral move where SUMO has the vehicle beside it, as where lanes do not meet."""
+    here = nearest(path, pose.x, pose.y, guess)
+    beside = math.hypot(here.x - pose.x, here.y - pose.y)
+    if beside < BESIDE_PATH:
+        return path
+    length = math.sqrt(5.77 * beside / WAY_IN_ACCEL) * pose.speed
+    return reached(path, pose.x, pose.y, pose.yaw, here.position, max(length, LEAST_WAY_IN))
 
 
 def reached(path: Path, x: float, y: float, yaw: float, position: float, length: float) -> Path:
