@@ -31,3 +31,16 @@ def test_all_of_it_is_driven_and_better_than_by_the_unaided_controller(name, tmp
     factor = 2.0 if name in DISTURBED else 1.0
     for key in ("cross_track_error_rms", "speed_error_rms"):
         assert factor * ours.metrics["tracking"][key] < unaided.metrics["tracking"][key], key
+
+
+@pytest.mark.parametrize(
+    ("seed", "ego", "duration", "where"),
+    [
+        (2, "first.239", 5.0, "it is taken over within a right turn, beside a queue"),
+        (7, "first.286", 48.0, "it turns left behind somebody who crosses when the link is open again"),
+    ],
+)
+def test_an_ego_of_the_town_turns_without_harm(seed, ego, duration, where, tmp_path):
+    only = {"ego": "", "egos.ids": (ego,), "egos.penetration": 0.0}
+    result = driven("town", tmp_path, seed=seed, duration=duration, **only)
+    assert result.ended == "finished", f"{where}: {result.reason}"
