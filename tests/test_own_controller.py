@@ -81,6 +81,10 @@ CASES = {
     "coupled-emran, noise and delay": ("track_dlc", "coupled-emran", {"duration": 4.0, **NOISY}),
     "pid-stanley, test bench": ("track_dlc", "pid-stanley", {"duration": 4.0}),
     "stanley-emran, conditioned path": ("track_dlc", "stanley-emran", {"duration": 4.0, "lateral.conditioning": True}),
+    "lqr": ("track_dlc", "lqr", {"duration": 2.0}),
+    "adrc": ("track_dlc", "adrc", {"duration": 2.0}),
+    "ekf-t2fnn": ("track_dlc", "ekf-t2fnn", {"duration": 2.0}),
+    "coupled-mran": ("track_dlc", "coupled-mran", {"duration": 2.0}),
     "coupled-emran, traffic": ("highway_dlc", "coupled-emran", {"duration": 8.0, "warm_up": 4.0}),
 }
 
@@ -212,6 +216,18 @@ FAULTS = {
         "mine.py, line 6: step returned 1.0 for steer_parts; accepted is a SteeringCommand",
     ),
     "exit": (law("        raise SystemExit(0)\n"), "mine.py, line 7: SystemExit: 0"),
+    "too large": (law("        return 0.0, 10**400\n"), r"mine.py, line 5: step returned 10+\.\.\. for accel; accept"),
+    "too large in a Command": (
+        law("        return Command(10**400, 0)\n", head="from emran_sumo import Command\n"),
+        r"mine.py, line 6: step returned 10+\.\.\. for steer; accepted is a finite number \[rad\]",
+    ),
+    "exit at import": ("import sys\n\nsys.exit('no licence')\n", "mine.py, line 3: SystemExit: no licence"),
+    "silent exit at import": ("raise SystemExit\n", r"mine.py, line 1: SystemExit\."),
+    "exit in the factory": ("def Law():\n    raise SystemExit(0)\n", "mine.py, line 2: SystemExit: 0; accepted is"),
+    "exit in reset": (
+        "import sys\n\n\nclass Law:\n    step = print\n\n    def reset(self):\n        sys.exit(3)\n",
+        r"mine.py, line 8: SystemExit: 3 in reset",
+    ),
     "missing attribute": (law("        return seen.sped, 0.0\n"), "mine.py, line 7: AttributeError: .*'sped'"),
     "no step": ("class Law:\n    def reset(self):\n        pass\n", r"mine.py, line 1: Law has no step\(\); accept"),
     "no reset": ("class Law:\n    def step(self, seen):\n        pass\n", r"mine.py, line 1: Law has no reset\(\);"),
