@@ -102,7 +102,8 @@ def test_a_built_in_law_through_the_door_gives_the_same_trace_bit_for_bit(tmp_pa
 
 def test_the_plain_own_controller_is_the_scheme_without_networks_and_without_the_guard_of_the_tires():
     own, base = (load("track_dlc", controller=name).values for name in ("emran_sumo:BuiltIn", "coupled-base"))
-    lateral = own.lateral._replace(slip_limit=base.lateral.slip_limit)
+    lateral = own.lateral._replace(slip_limit=base.lateral.slip_limit, emran=base.lateral.emran)
+    assert own.lateral.emran.authority == 0.0
     assert (own.longitudinal, lateral) == (base.longitudinal, base.lateral)
 
 
@@ -397,6 +398,32 @@ def test_the_page_s_example_drives_the_double_lane_change_in_traffic(here):
     assert result.metrics["tracking"]["cross_track_error_rms"] < 0.25
     assert result.metrics["tracking"]["speed_error_rms"] < 0.2
     assert np.ptp(result.signals["reference_y"]) > 3.0  # it did change lanes
+
+
+def rms_of_the_example(here, name, **given):
+    (here / "pursuit.py").write_text(BLOCKS[0])
+    result = run(load(name, controller="pursuit.py:PurePursuit", **given), here / "runs", record=False)
+    assert result.ended == "finished"
+    return float(np.sqrt(np.mean(result.signals["cross_track_error"] ** 2)))
+
+
+def test_the_page_s_aid_does_the_example_no_harm_and_helps_it_against_a_force(here):
+    aid = {"lateral.emran.authority": 1.0}
+    lasting = {"duration": 24.0}  # both lane changes at 20 m/s
+    alone, aided = (rms_of_the_example(here, "highway_dlc", **lasting, **keys) for keys in ({}, aid))
+    assert aided < 1.03 * alone
+    force = {"disturbance.lateral_force": 1000.0}
+    alone, aided = (rms_of_the_example(here, "track_dlc", **force, **keys) for keys in ({}, aid))
+    assert aided < 0.85 * alone
+
+
+def test_the_aid_of_an_own_controller_is_slow_enough_for_a_law_that_swings_by_itself(here):
+    swinging = re.sub(r" \+ 0\.3 \* \(.*yaw_rate\)", "", BLOCKS[0]).replace("2.0 + 0.15 *", "3.0 + 0.4 *")
+    assert len(swinging) < len(BLOCKS[0]) - 30
+    (here / "swing.py").write_text(swinging)
+    aid = {"lateral.emran.authority": 1.0, "duration": 24.0}
+    result = run(load("highway_dlc", controller="swing.py:PurePursuit", **aid), here / "runs", record=False)
+    assert result.ended == "finished"  # with the rates of the built-in laws it diverges at 20 s
 
 
 def test_the_other_pieces_of_the_page_run_as_they_stand(here, capsys):
