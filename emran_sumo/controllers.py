@@ -56,8 +56,8 @@ CONTROLLERS: dict[str, tuple[str, dict[str, object]]] = {
     ),
 }
 
-# of a user's own one: it gets what it asks for; networks and the tires' reach are switched on by their keys. The steering
-# network then learns slowly: the rates of the built-in laws are tuned for the loop gain of Stanley
+# of a user's own one: it gets what it asks for; networks and the tires' reach are switched on by their keys. The
+# steering network then learns slowly: the rates of the built-in laws are tuned for the loop gain of Stanley
 OWN: dict[str, object] = {
     "longitudinal.emran.authority": 0.0,
     "lateral.emran.authority": 0.0,

@@ -171,7 +171,7 @@ def test_an_aided_law_learns_and_follows_better_under_a_force_from_the_side(tmp_
     lasting = alone.signals["time"] > 8.0
     rms = [float(np.sqrt(np.mean(r.signals["cross_track_error"][lasting] ** 2))) for r in (alone, aided)]
     assert rms[0] > 0.02  # a P law leaves an error under a constant force
-    assert rms[1] < 0.2 * rms[0]
+    assert rms[1] < 0.3 * rms[0]  # what the slow rates of an own controller take off in 8 s
 
 
 def test_a_half_that_gives_its_parts_is_not_aided_a_second_time(tmp_path):
