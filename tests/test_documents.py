@@ -27,7 +27,7 @@ def our_cells(table: str, case: str, row: str) -> list[str]:
     """Cells of a row in the first part of docs/tables.md."""
     text = (DOCS / "tables.md").read_text(encoding="utf-8").split("## The paper word for word")[0]
     section = next(part for part in text.split("### ") if part.startswith(f"Table {table}. "))
-    at = section.split(f"| **{case}** |")[1].split("| **" + "\n")[0]
+    at = section.split(f"| **{case}** |")[1].split("\n| **")[0]
     line = next(line for line in at.splitlines() if line.startswith(f"| {row} |"))
     return [re.sub(r"\*| x.*", "", cell.strip()) for cell in line.strip("| ").split("|")[1:]]
 

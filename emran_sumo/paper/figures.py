@@ -12,7 +12,7 @@ from emran_sumo.paper.cases import TABLES
 from emran_sumo.paper.drawing import DOTS, Band, Driven, draw, limits, span
 from emran_sumo.paper.plates import DRIVERS, PLATES, Panel, Plate
 from emran_sumo.paper.rows import rows
-from emran_sumo.paper.tables import SPUN
+from emran_sumo.paper.tables import lost_at
 from emran_sumo.print_style import image
 from emran_sumo.recording.panels import Line, View, write_panels
 from emran_sumo.scenario import build
@@ -99,14 +99,6 @@ def cases_of(plate: Plate, driven: Runs) -> list[Driven]:
         longest = max(traces.values(), key=len)
         listed.append(Driven(case, traces, lost, longest, bands(longest)))
     return listed
-
-
-def lost_at(run: BenchRun) -> float | None:
-    """When the car had turned too far or the run broke off [s], as the tables count it; None for one that was kept."""
-    spun = np.abs(run.trace[:, AT.heading_error]) > SPUN
-    if spun.any():
-        return float(run.trace[spun.argmax(), AT.time])
-    return float(run.trace[-1, AT.time]) if run.ended == "diverged" else None
 
 
 def bands(trace: np.ndarray) -> tuple[Band, ...]:

@@ -8,8 +8,11 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
-from emran_sumo.bench import drive_track, scores
+import numpy as np
+
+from emran_sumo.bench import BenchRun, drive_track, scores
 from emran_sumo.errors import UserError, nearest_name
+from emran_sumo.loop import AT
 from emran_sumo.paper import memory
 from emran_sumo.paper.cases import ADD_ON, BLIND, FORCES, TABLES, Case, Given, Table, compared, dlc, published
 from emran_sumo.paper.rows import Row, literal_rows, pairs, rows
@@ -149,27 +152,34 @@ def _jobs(case: Case, row: Row, how: Condition) -> list[partial]:
 
 
 def _driven(given: Given) -> Values:
-    found = scores(drive_track(build(given)))
-    return {**found, "lost": float(not found["ended"] or found["heading_error_max"] > SPUN)}
+    run = drive_track(build(given))
+    return {**scores(run), "lost_at": lost_at(run)}
+
+
+def lost_at(run: BenchRun) -> float | None:
+    """When the car had turned SPUN from the path or the run broke off [s]; None for one that was kept."""
+    spun = np.abs(run.trace[:, AT.heading_error]) > SPUN
+    if spun.any():
+        return float(run.trace[spun.argmax(), AT.time])
+    return float(run.trace[-1, AT.time]) if run.ended == "diverged" else None
 
 
 def _lost_force(given: Given) -> Values:
     """The smallest gust of the sweep [N] that loses the car; None when none does."""
     for force in FORCES:
-        if _driven({**given, "disturbance.gust_force": force})["lost"]:
+        if _driven({**given, "disturbance.gust_force": force})["lost_at"] is not None:
             return {"lost_force": force}
     return {"lost_force": None}
 
 
 def _result(name: str, case: Case, row: Row, found: list[Values]) -> Result:
     sweep = found.pop() if case.sweep else {}
-    lost = [one for one in found if one["lost"]]
+    lost = [when for one in found if (when := one.pop("lost_at")) is not None]
     keys = found[0]
     columns = {key: [one[key] or 0.0 for one in found] for key in keys}
     mean: Values = {key: None if lost else math.fsum(c) / len(c) for key, c in columns.items()}
     worst: Values = {key: None if lost else max(c) for key, c in columns.items()}
-    after = min((one["driven"] or 0.0 for one in lost), default=0.0)
-    return Result(name, case, row, {**mean, **sweep}, {**worst, **sweep}, len(lost), len(found), after)
+    return Result(name, case, row, {**mean, **sweep}, {**worst, **sweep}, len(lost), len(found), min(lost, default=0.0))
 
 
 def work(jobs: list[partial], workers: int | None = None, progress: Progress | None = None) -> list[Any]:

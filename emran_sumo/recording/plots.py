@@ -165,6 +165,8 @@ def ticked(low: float, high: float, most: int = 5) -> tuple[float, float]:
     """
     if not (np.isfinite(low) and np.isfinite(high)):
         return 0.0, 1.1
+    if high == low:  # nothing happens: a count that stays at 0 is shown between 0 and 1
+        high = low + 1.0
     margin = 0.06 * max(high - low, 1e-6)
     low, high = float(low - margin), float(high + margin)
     step = 10.0 ** np.floor(np.log10(high - low))
