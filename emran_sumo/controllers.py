@@ -56,10 +56,15 @@ CONTROLLERS: dict[str, tuple[str, dict[str, object]]] = {
     ),
 }
 
-# of a user's own one: it gets what it asks for; networks and the tires' reach are switched on by their keys
+# of a user's own one: it gets what it asks for; networks and the tires' reach are switched on by their keys. The
+# steering network then learns slowly: the rates of the built-in laws are tuned for the loop gain of Stanley
 OWN: dict[str, object] = {
     "longitudinal.emran.authority": 0.0,
     "lateral.emran.authority": 0.0,
+    "lateral.emran.rate_initial": 0.6,
+    "lateral.emran.rate_steady": 0.5,
+    "lateral.emran.bias_rate": 0.05,
+    "lateral.emran.growth_gain": 0.05,
     "lateral.slip_limit": 2.0,
 }
 

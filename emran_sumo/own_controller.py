@@ -1,5 +1,6 @@
 """The door for a controller of your own: the closed loop with a Python object in the place of the laws."""
 
+import contextlib
 import math
 from numbers import Real
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ class OwnController:
                 raise ControllerFault(f"controller {name}: {defined_at(controller)}{what}; accepted is {accepted}.")
         try:
             controller.reset()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ControllerFault(f"controller {name}: {failed_at(error)} in reset().") from error
 
     def closed_loop(
@@ -174,8 +175,9 @@ def _parts(name: str, parts: Any, kind: Any, total: float) -> Any:
 
 def _number(name: str, value: Any, unit: str) -> float:
     scalar = isinstance(value, float | Real) or getattr(value, "ndim", None) == 0
-    if scalar and math.isfinite(value):
-        return float(value)
+    with contextlib.suppress(OverflowError):  # of an integer that no float holds
+        if scalar and math.isfinite(value):
+            return float(value)
     raise _Unusable(f"step returned {_shown(value)} for {name}; accepted is a finite number [{unit}]")
 
 

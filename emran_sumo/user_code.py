@@ -37,7 +37,7 @@ class Maker(NamedTuple):
         """
         try:
             made = self.make()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             inside = error.__traceback__ is not None and error.__traceback__.tb_next is not None
             where = failed_at(error) if inside else f"{defined_at(self.make)}{type(error).__name__}: {error}"
             raise ControllerFault(
@@ -123,7 +123,7 @@ def _module(text: str, folder: Path) -> ModuleType:
         return _from_file(text, Path(module), folder) if module.endswith(".py") else _by_name(text, module)
     except UserError:
         raise
-    except Exception as error:  # of the user's code
+    except (Exception, SystemExit) as error:  # of the user's code
         raise ControllerFault(f"controller {text}: {failed_at(error)}.") from error
 
 

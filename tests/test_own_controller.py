@@ -81,6 +81,10 @@ CASES = {
     "coupled-emran, noise and delay": ("track_dlc", "coupled-emran", {"duration": 4.0, **NOISY}),
     "pid-stanley, test bench": ("track_dlc", "pid-stanley", {"duration": 4.0}),
     "stanley-emran, conditioned path": ("track_dlc", "stanley-emran", {"duration": 4.0, "lateral.conditioning": True}),
+    "lqr": ("track_dlc", "lqr", {"duration": 2.0}),
+    "adrc": ("track_dlc", "adrc", {"duration": 2.0}),
+    "ekf-t2fnn": ("track_dlc", "ekf-t2fnn", {"duration": 2.0}),
+    "coupled-mran": ("track_dlc", "coupled-mran", {"duration": 2.0}),
     "coupled-emran, traffic": ("highway_dlc", "coupled-emran", {"duration": 8.0, "warm_up": 4.0}),
 }
 
@@ -98,7 +102,8 @@ def test_a_built_in_law_through_the_door_gives_the_same_trace_bit_for_bit(tmp_pa
 
 def test_the_plain_own_controller_is_the_scheme_without_networks_and_without_the_guard_of_the_tires():
     own, base = (load("track_dlc", controller=name).values for name in ("emran_sumo:BuiltIn", "coupled-base"))
-    lateral = own.lateral._replace(slip_limit=base.lateral.slip_limit)
+    lateral = own.lateral._replace(slip_limit=base.lateral.slip_limit, emran=base.lateral.emran)
+    assert own.lateral.emran.authority == 0.0
     assert (own.longitudinal, lateral) == (base.longitudinal, base.lateral)
 
 
@@ -166,7 +171,7 @@ def test_an_aided_law_learns_and_follows_better_under_a_force_from_the_side(tmp_
     lasting = alone.signals["time"] > 8.0
     rms = [float(np.sqrt(np.mean(r.signals["cross_track_error"][lasting] ** 2))) for r in (alone, aided)]
     assert rms[0] > 0.02  # a P law leaves an error under a constant force
-    assert rms[1] < 0.2 * rms[0]
+    assert rms[1] < 0.3 * rms[0]  # what the slow rates of an own controller take off in 8 s
 
 
 def test_a_half_that_gives_its_parts_is_not_aided_a_second_time(tmp_path):
@@ -212,6 +217,18 @@ FAULTS = {
         "mine.py, line 6: step returned 1.0 for steer_parts; accepted is a SteeringCommand",
     ),
     "exit": (law("        raise SystemExit(0)\n"), "mine.py, line 7: SystemExit: 0"),
+    "too large": (law("        return 0.0, 10**400\n"), r"mine.py, line 5: step returned 10+\.\.\. for accel; accept"),
+    "too large in a Command": (
+        law("        return Command(10**400, 0)\n", head="from emran_sumo import Command\n"),
+        r"mine.py, line 6: step returned 10+\.\.\. for steer; accepted is a finite number \[rad\]",
+    ),
+    "exit at import": ("import sys\n\nsys.exit('no licence')\n", "mine.py, line 3: SystemExit: no licence"),
+    "silent exit at import": ("raise SystemExit\n", r"mine.py, line 1: SystemExit\."),
+    "exit in the factory": ("def Law():\n    raise SystemExit(0)\n", "mine.py, line 2: SystemExit: 0; accepted is"),
+    "exit in reset": (
+        "import sys\n\n\nclass Law:\n    step = print\n\n    def reset(self):\n        sys.exit(3)\n",
+        r"mine.py, line 8: SystemExit: 3 in reset",
+    ),
     "missing attribute": (law("        return seen.sped, 0.0\n"), "mine.py, line 7: AttributeError: .*'sped'"),
     "no step": ("class Law:\n    def reset(self):\n        pass\n", r"mine.py, line 1: Law has no step\(\); accept"),
     "no reset": ("class Law:\n    def step(self, seen):\n        pass\n", r"mine.py, line 1: Law has no reset\(\);"),
@@ -381,6 +398,32 @@ def test_the_page_s_example_drives_the_double_lane_change_in_traffic(here):
     assert result.metrics["tracking"]["cross_track_error_rms"] < 0.25
     assert result.metrics["tracking"]["speed_error_rms"] < 0.2
     assert np.ptp(result.signals["reference_y"]) > 3.0  # it did change lanes
+
+
+def rms_of_the_example(here, name, **given):
+    (here / "pursuit.py").write_text(BLOCKS[0])
+    result = run(load(name, controller="pursuit.py:PurePursuit", **given), here / "runs", record=False)
+    assert result.ended == "finished"
+    return float(np.sqrt(np.mean(result.signals["cross_track_error"] ** 2)))
+
+
+def test_the_page_s_aid_does_the_example_no_harm_and_helps_it_against_a_force(here):
+    aid = {"lateral.emran.authority": 1.0}
+    lasting = {"duration": 24.0}  # both lane changes at 20 m/s
+    alone, aided = (rms_of_the_example(here, "highway_dlc", **lasting, **keys) for keys in ({}, aid))
+    assert aided < 1.03 * alone
+    force = {"disturbance.lateral_force": 1000.0}
+    alone, aided = (rms_of_the_example(here, "track_dlc", **force, **keys) for keys in ({}, aid))
+    assert aided < 0.85 * alone
+
+
+def test_the_aid_of_an_own_controller_is_slow_enough_for_a_law_that_swings_by_itself(here):
+    swinging = re.sub(r" \+ 0\.3 \* \(.*yaw_rate\)", "", BLOCKS[0]).replace("2.0 + 0.15 *", "3.0 + 0.4 *")
+    assert len(swinging) < len(BLOCKS[0]) - 30
+    (here / "swing.py").write_text(swinging)
+    aid = {"lateral.emran.authority": 1.0, "duration": 24.0}
+    result = run(load("highway_dlc", controller="swing.py:PurePursuit", **aid), here / "runs", record=False)
+    assert result.ended == "finished"  # with the rates of the built-in laws it diverges at 20 s
 
 
 def test_the_other_pieces_of_the_page_run_as_they_stand(here, capsys):
