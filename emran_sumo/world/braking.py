@@ -6,6 +6,7 @@ import libsumo
 
 REACH = 100.0  # m ahead in which something to stop for is looked for
 WAIT_BEFORE = 0.4  # m before a place to wait inside a junction
+BEYOND, CREEPING = 0.8, 1.5  # m, m/s
 MOVING = 0.5  # m/s
 REACH_INSIDE = 40.0  # m from a junction in which places to wait inside it are looked at
 SLOW = 0.3  # m/s: below it the lag costs less than the room before the line
@@ -42,7 +43,7 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     # nearer than the brakes need, SUMO has decided to go on
     gaps += [gap for gap in (_to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
     inside = _to_wait_inside(ego, lane)
-    gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside >= needed else []
+    gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside == 0.0 or inside >= needed else []
     gap = min(gaps)
     stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
     return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
@@ -88,6 +89,8 @@ def _to_wait_inside(ego: str, lane: str) -> float:
     if left > REACH_INSIDE:
         return math.inf
     if lane.startswith(":"):
+        if _is_just_beyond(ego, lane) and any(_is_driven_on(foe) for foe in libsumo.lane.getInternalFoes(lane)):
+            return 0.0
         return left if _has_to_wait(lane) else math.inf
     links = libsumo.vehicle.getNextLinks(ego)
     inside = links[0][4] if links else ""
@@ -109,6 +112,11 @@ def _has_to_wait(inside: str) -> bool:
 def _is_driven_on(lane: str) -> bool:
     vehicle = libsumo.vehicle
     return any(vehicle.getSpeed(name) > MOVING for name in libsumo.lane.getLastStepVehicleIDs(lane))
+
+
+def _is_just_beyond(ego: str, lane: str) -> bool:
+    """Whether an ego has rolled a little beyond where it had to wait, and can still do so."""
+    return libsumo.vehicle.getLanePosition(ego) < BEYOND and libsumo.vehicle.getSpeed(ego) < CREEPING
 
 
 def _left(ego: str, lane: str) -> float:
