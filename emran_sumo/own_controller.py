@@ -125,9 +125,10 @@ def one_period(
             references.speeds[k], references.accels[k], push.accel, clock.period,
         )  # fmt: skip
     if aid_turn:
-        turn, steering_memory = aided_steering(
-            control.lateral, steering_net, vehicle, steering_memory, seen, turn.angle, clock.period
-        )
+        turn, steering_memory = aided(
+            control.lateral, steering_net, vehicle, steering_memory, seen.car,
+            seen.cross_track_error, seen.heading_error, turn.angle, clock.period,
+        )  # fmt: skip
     car, point, status = act(
         vehicle, disturbance, friction, clock, references, k, pending, now.car, now.point, turn, push,
         speed_net, steering_net, row,
@@ -213,18 +214,3 @@ def aided_cruise(params, network, vehicle, memory, motion, speed_reference, acce
     total = min(max(accel + part, -params.decel_max), params.accel_max)
     after = CruiseMemory(v, b, motion.specific_force, memory.asked, memory.led, memory.expected, memory.pid)
     return CruiseCommand(total, accel, part, signal, learned), after
-
-
-@njit
-def aided_steering(params, network, vehicle, memory, seen, steer, period):
-    """Steering of any law with the network beside it (authority 0: without), within the limits of the car.
-
-    Args:
-        params: SteeringParams; network: EmranMemory, changed in place; vehicle: VehicleParams.
-        memory: SteeringMemory; seen: Seen; steer: of the law [rad]; period [s].
-
-    Returns:
-        (SteeringCommand, SteeringMemory)
-    """
-    cross_track = seen.cross_track_error + params.reference_ahead * math.sin(seen.heading_error)
-    return aided(params, network, vehicle, memory, seen.car, cross_track, seen.heading_error, steer, period)

@@ -203,35 +203,28 @@ def _by_law(
         front, e, psi = _beside(vehicle.front_axle, state, path, point)
         law, after = full_stanley(params.hoffmann, hoffmann, vehicle, state, e, psi, front.curvature)
         memory = SteeringMemory(memory.smoothed, after, None, None, None)
-        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+        return aided(params, network, vehicle, memory, state, cross_track, heading, law, period)
     if adrc is not None:
         there, e, psi = _beside(percussion_arm(vehicle), state, path, point)
         ahead = there.position + params.adrc.preview * max(state.speed_long, 0.0)
         ahead = interpolate(path.curvature, path, ahead)
         law, after = flat_adrc(params.adrc, adrc, vehicle, state, e, psi, there.curvature, ahead, period)
         memory = SteeringMemory(memory.smoothed, None, after, None, None)
-        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+        return aided(params, network, vehicle, memory, state, cross_track, heading, law, period)
     if gains is not None:
         law = lqr(gains, vehicle, state, path, point.position, cross_track, heading, kappa, period)
-        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+        return aided(params, network, vehicle, memory, state, cross_track, heading, law, period)
     if t2fnn is not None:
         _, slip = _slip(vehicle, state)
         law, after = fuzzy_pid(
             params.t2fnn, t2fnn, vehicle, state, cross_track, heading, kappa, slip, params.guard, period
         )
         memory = SteeringMemory(memory.smoothed, None, None, None, after)
-        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+        return aided(params, network, vehicle, memory, state, cross_track, heading, law, period)
     if params.feedforward:
         law = _law(params, vehicle, state, path, point, cross_track, heading)
-        return _with_network(params, network, vehicle, memory, state, cross_track, heading, law, period)
+        return aided(params, network, vehicle, memory, state, cross_track, heading, law, period)
     return _plain(params, network, vehicle, memory, state, path, point, period)
-
-
-@njit
-def _with_network(params, network, vehicle, memory, state, cross_track, heading_error, law, period):
-    """Any law beside the network, which learns at the point `reference_ahead` of the center of gravity."""
-    cross_track = cross_track + params.reference_ahead * math.sin(heading_error)
-    return aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period)
 
 
 @njit
@@ -296,7 +289,7 @@ def _law(params, vehicle, state, path, point, cross_track_error, heading_error):
 
 
 @njit
-def aided(params, network, vehicle, memory, state, cross_track, heading_error, law, period):
+def aided(params, network, vehicle, memory, state, cross_track_error, heading_error, law, period):
     """Steering command of any law with the network beside it, within the tires' reach.
 
     Args:
@@ -305,8 +298,8 @@ def aided(params, network, vehicle, memory, state, cross_track, heading_error, l
         vehicle: VehicleParams the law believes in.
         memory: SteeringMemory of the last call.
         state: VehicleState (speeds, yaw rate and steering angle are used).
-        cross_track: error [m] at the point that is to follow the path, `reference_ahead` of the center of gravity.
-        heading_error: path minus vehicle [rad].
+        cross_track_error, heading_error: at the center of gravity, path minus vehicle [m], [rad]; the network learns
+            at the point `reference_ahead` of it.
         law: road-wheel angle [rad] the law alone asks for.
         period: control period [s].
 
@@ -315,6 +308,7 @@ def aided(params, network, vehicle, memory, state, cross_track, heading_error, l
     """
     emran = params.emran
     a = params.reference_ahead
+    cross_track = cross_track_error + a * math.sin(heading_error)
     v = state.speed_long
     safe = max(v, 0.1)
     course = math.atan2(state.speed_lat + a * state.yaw_rate, safe)

@@ -60,13 +60,21 @@ def shift_between(before: np.ndarray, after: np.ndarray) -> float:
     return float(across @ (after[0, :2] - before[-1, :2]))
 
 
+def _shift_length(height: float, accel: float, speed: float) -> float:
+    """Length [m] of a lateral move by `height` [m] at `speed` [m/s] with at most `accel` [m/s2] across.
+
+    A quintic of length L and height h has the curvature 5.77 h / L^2 at the most.
+    """
+    return math.sqrt(5.77 * height / accel) * speed
+
+
 def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) -> np.ndarray:
     """The points (n, 4) with as much tolerance around `place` [m] as a lateral `shift` [m] needs at `speed` [m/s].
 
     A lane that goes on a lane's width beside its end is drawn by the network as a kink: here it is moved to like a lane
-    change. A quintic of length L and height h has the curvature 5.77 h / L^2 at the most.
+    change.
     """
-    length = np.sqrt(5.77 * abs(shift) / SHIFT_ACCEL) * speed
+    length = _shift_length(abs(shift), SHIFT_ACCEL, speed)
     distance = np.hypot(*(points[:, :2] - place).T)
     out = points.copy()
     near = distance < 0.5 * max(length, 10.0)
@@ -166,7 +174,7 @@ def way_in(path: Path, pose: Pose, guess: float) -> Path:
     beside = math.hypot(here.x - pose.x, here.y - pose.y)
     if beside < BESIDE_PATH:
         return path
-    length = math.sqrt(5.77 * beside / WAY_IN_ACCEL) * pose.speed
+    length = _shift_length(beside, WAY_IN_ACCEL, pose.speed)
     return reached(path, pose.x, pose.y, pose.yaw, here.position, max(length, LEAST_WAY_IN))
 
 

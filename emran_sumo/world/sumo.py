@@ -214,7 +214,7 @@ class SumoWorld:
             return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
         speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
         if self.map.has_loops:
-            speed = min(speed, self._turning.speed(ego, lane, self.neighbors(ego)))
+            speed = min(speed, self._turning.speed(ego, lane, self.neighbors))
         if change.needs_room and ego not in self._phantoms:
             speed = min(speed, braking.speed_for_room(ego, self.step))
         return Intent(speed, change.side)

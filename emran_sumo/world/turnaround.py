@@ -22,7 +22,7 @@ def turned(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Args:
         before, after: (n, 3) center lines of the lanes [m].
     """
-    back = BEFORE * min(1.0, 0.25 * min(_length(before), _length(after)) / BEFORE)
+    back = min(BEFORE, 0.25 * _length(before), 0.25 * _length(after))
     into, onward = _cut(before[::-1], back)[::-1], _cut(after, back)
     start, end = into[-1], onward[0]
     heading, away = _direction(into[-2:]), _direction(onward[:2])

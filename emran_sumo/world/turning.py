@@ -1,6 +1,7 @@
 """Egos that turn back on a loop wider than the road, of which SUMO's right of way does not know."""
 
 import math
+from collections.abc import Callable
 
 import libsumo
 import numpy as np
@@ -45,8 +46,11 @@ class Turning:
         """Whether SUMO has the ego on the lane beside its loop."""
         return ego in self._on
 
-    def speed(self, ego: str, lane: str, traffic: Traffic) -> float:
-        """Speed [m/s] that stops the ego before a loop on which it would be in somebody's way; else infinite."""
+    def speed(self, ego: str, lane: str, look: Callable[[str], Traffic]) -> float:
+        """Speed [m/s] that stops the ego before a loop on which it would be in somebody's way; else infinite.
+
+        look: tells the traffic around an ego; it is asked near a loop only.
+        """
         vehicle = libsumo.vehicle
         route, index = vehicle.getRoute(ego), vehicle.getRouteIndex(ego)
         loop = self._map.loop(lane, route[index + 1] if index + 1 < len(route) else "")
@@ -54,7 +58,7 @@ class Turning:
             return math.inf
         self._loops[ego] = loop
         gap = libsumo.lane.getLength(lane) - vehicle.getLanePosition(ego) - BEFORE
-        if not -BEGUN < gap < REACH or _is_clear(loop.points, traffic, libsumo.lane.getEdgeID(lane)):
+        if not -BEGUN < gap < REACH or _is_clear(loop.points, look(ego), libsumo.lane.getEdgeID(lane)):
             return math.inf
         speed = vehicle.getSpeed(ego)
         return max(vehicle.getStopSpeed(ego, speed, max(gap, 0.0)), 0.0)
