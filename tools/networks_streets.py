@@ -13,6 +13,7 @@ URBAN_OPTIONS = ("--precision", "3", "--offset.disable-normalization", "true", "
                  "--junctions.limit-turn-speed", TURN_LATERAL, "--tls.cycle.time", "60",
                  "--tls.allred.time", "3")  # fmt: skip
 TURN_RADIUS = "10"  # [m] of the curb at a corner
+WAITING_WIDTH = "2.6"  # [m] that who waits inside a junction leaves to those who cross: a van, and 0.3 m on each side
 
 COLUMNS = {"a": 0.0, "b": 200.0, "c": 400.0, "d": 600.0}  # x of the streets from south to north [m]
 ROWS = {"1": 0.0, "2": 180.0, "3": 360.0}  # y of the streets from west to east; row 2 is the main road [m]
@@ -62,4 +63,5 @@ TOWN = ("--grid", "--grid.x-number", "7", "--grid.y-number", "6", "--grid.length
         "--tls.set", TOWN_SIGNALS, "--tls.default-type", "actuated", "--tls.cycle.time", "60", "--tls.allred.time", "3",
         "--junctions.internal-link-detail", "10", "--junctions.corner-detail", "3",
         "--junctions.limit-turn-speed", TURN_LATERAL, "--no-turnarounds", "true",
+        "--internal-junctions.vehicle-width", WAITING_WIDTH,
         "--offset.disable-normalization", "true", "--precision", "2")  # fmt: skip
