@@ -307,7 +307,7 @@ class Host:
 
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
-    control, row = ego.scenario.control, ego.frames.last[-1]
+    control, row = ego.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     recorder.state(ego.time, "maneuver", ego.maneuver)
     recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))

@@ -105,7 +105,8 @@ class Ego:
         self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
         self.take_path(handed.path, way_in(handed.path, pose, guess))
         self.route_offset = handed.route_position - self.state.position
-        self.networks = blank_networks(scenario.control)
+        self.control = scenario.control
+        self.networks = blank_networks(self.control)
         self.tick = 0
         self.status = 0
         self.maneuver = "keep lane"
@@ -185,7 +186,7 @@ class Ego:
         before = self.state.vehicle.speed_long
         s = self.scenario
         self.state, self.status, count = self._drive(
-            self.vehicle, s.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
+            self.vehicle, self.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
         self._speed_reference = float(references.speeds[-1])
@@ -256,7 +257,7 @@ class Ego:
         """(n, 2) points of the path ahead."""
         first = int(self.state.position / self.path.spacing)
         last = min(first + int(AHEAD / self.path.spacing), self.path.x.size)
-        return np.column_stack((self.path.x[first:last:8], self.path.y[first:last:8]))
+        return np.array((self.path.x[first:last:8], self.path.y[first:last:8])).T
 
     def trace(self) -> np.ndarray:
         """All rows so far (n, len(COLUMNS))."""

@@ -4,7 +4,7 @@ Rows are gathered and sent as columns every 8 s of simulated time, every 24 s af
 killed run loses at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -21,7 +21,7 @@ from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, LINE_WID
 from emran_sumo.recording.road import draw_road, road_shapes
 from emran_sumo.recording.stream import Stream, series
 from emran_sumo.recording.surroundings import Patch, PatchSender, draw_stop_lines, send_signals
-from emran_sumo.recording.vehicles import Seen, Vehicles, seen
+from emran_sumo.recording.vehicles import Vehicles
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
@@ -117,7 +117,7 @@ class Recorder:
             self.close(f"**{self._name}**: stopped early by {kind.__name__} {error}".rstrip())
         self.close()
 
-    def write(self, trace_rows: np.ndarray, traffic: Traffic, reference: np.ndarray, egos: Container[str] = ()) -> None:
+    def write(self, trace_rows: np.ndarray, traffic: Traffic, reference: np.ndarray, egos: Iterable[str] = ()) -> None:
         """Record one SUMO step.
 
         Args:
@@ -129,9 +129,9 @@ class Recorder:
         if self._closed:
             raise RuntimeError("the recording is closed")
         rows = np.array(trace_rows, dtype=np.float64)
-        now = round(rows[-1, self._time] * 1e3)
+        now = round(float(rows[-1, self._time]) * 1e3)
         self._rows.append(rows)
-        self._traffic.append(seen(traffic, egos))
+        self._traffic.append((traffic, frozenset(egos)))
         if now % REFERENCE_PERIOD == 0:
             ahead = reference if len(reference) else rows[-1:, self._place]
             self._references.append((now, _thinned(ahead)))
@@ -187,7 +187,7 @@ class Recorder:
 
     def _forget(self) -> None:
         self._rows: list[np.ndarray] = []
-        self._traffic: list[Seen] = []
+        self._traffic: list[tuple[Traffic, frozenset[str]]] = []
         self._references: list[tuple[int, np.ndarray]] = []
         self._events: list[tuple[int, str, str]] = []
         self._states: dict[str, list[tuple[int, str]]] = {}
