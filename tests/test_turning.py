@@ -151,6 +151,15 @@ def test_an_ego_that_nobody_lets_turn_back_closes_the_ways_across_its_loop_for_a
     assert phantoms[-1] == 0
 
 
+@pytest.mark.parametrize("edges", ["in out in down", "in out in out in down", "on off on off out"])
+def test_a_route_that_passes_an_edge_again_is_driven_to_its_end(tmp_path, edges):
+    result = driven(tmp_path, edges=edges)
+    assert result.ended == "arrived", result.reason
+    way = np.hypot(*np.diff(result.trace[:, [AT.x, AT.y]], axis=0).T).sum()
+    least = 142.8 * len(edges.split()) - 45.0  # "down" has 92.8 m, and the ends count from and to the car
+    assert way > least
+
+
 def test_a_way_is_free_as_far_as_no_body_reaches_into_it():
     """A straight way east; a car of 4 x 2 m across it at 20 m, and one beside it whose side is 1.35 m away."""
     way = np.column_stack((np.arange(0.0, 40.0, 0.5), np.zeros(80)))

@@ -11,6 +11,7 @@ import libsumo
 
 from emran_sumo.path import Path
 from emran_sumo.world import braking, phantom, session, wishes
+from emran_sumo.world.passages import Passages
 from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
@@ -50,6 +51,7 @@ class SumoWorld:
         self._closed = False
         self._sight = Sight()
         self._phantoms = Phantoms()
+        self._passages = Passages()
         self._held: dict[str, int] = {}
         self._searched: dict[str, str] = {}  # off-road egos and where they want to go
         self._fronts: dict[str, float] = {}
@@ -246,9 +248,11 @@ class SumoWorld:
             self._note(fresh=False)
             self._pending = False
             for ego, pose in poses.items():
-                if not self.lane_of(ego):
+                if not (lane := self.lane_of(ego)):
                     continue
                 self._lead_on(ego)
+                if self._passages.note(ego, lane):
+                    self.rerouted(ego)  # the way is the same
                 speed = max(pose.speed, 0.0)
                 libsumo.vehicle.setPreviousSpeed(ego, speed, pose.accel)
                 self._phantoms.set_speed(ego, speed, pose.accel)
