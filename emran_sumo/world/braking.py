@@ -39,9 +39,9 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
         return math.inf
     speed = vehicle.getSpeed(ego)
     needed = 0.5 * speed * speed / vehicle.getDecel(ego)
-    gaps = [_to_stop(ego)]
+    gaps = [to_stop(ego)]
     # nearer than the brakes need, SUMO has decided to go on
-    gaps += [gap for gap in (_to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
+    gaps += [gap for gap in (to_light(ego), _to_closed(ego, lane, speed)) if gap >= needed]
     inside = _to_wait_inside(ego, lane)
     gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside == 0.0 or inside >= needed else []
     gap = min(gaps)
@@ -49,7 +49,7 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
 
 
-def _to_stop(ego: str) -> float:
+def to_stop(ego: str) -> float:
     """Distance to the next stop [m]."""
     vehicle = libsumo.vehicle
     stops = vehicle.getStops(ego, 1)
@@ -60,7 +60,7 @@ def _to_stop(ego: str) -> float:
     return distance if distance >= 0.0 else math.inf
 
 
-def _to_light(ego: str) -> float:
+def to_light(ego: str) -> float:
     """Distance to the next light, where it is to be stopped at [m]."""
     for _, _, distance, state in libsumo.vehicle.getNextTLS(ego)[:1]:
         if state in STOP_STATES:

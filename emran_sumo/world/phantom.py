@@ -1,4 +1,7 @@
-"""Stand-ins of egos in a second lane: they hold it while the body overlaps it, and give its traffic a leader."""
+"""Stand-ins of egos in a second lane: they hold it while the body overlaps it, and give its traffic a leader.
+
+Others close the ways across a loop (`closing.py`).
+"""
 
 import contextlib
 
@@ -14,6 +17,20 @@ NEVER_CHANGES_LANE = 0
 def real(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names that are no phantoms."""
     return tuple(name for name in names if not name.startswith(PREFIX))
+
+
+def add(phantom: str, ego: str) -> None:
+    """Let a phantom of the ego's type come; it needs a route and a place in the same step."""
+    vehicle = libsumo.vehicle
+    # the ego's own copy of its type ("type@ego") dies with the first vehicle that has it: take the original
+    vehicle.add(phantom, "", vehicle.getTypeID(ego).removesuffix(f"@{ego}"))
+    vehicle.setLaneChangeMode(phantom, NEVER_CHANGES_LANE)
+
+
+def remove(phantom: str) -> None:
+    """Take a phantom from the road."""
+    with contextlib.suppress(*SUMO_ERRORS):
+        libsumo.vehicle.remove(phantom)
 
 
 class Phantoms:
@@ -43,14 +60,11 @@ class Phantoms:
         """Take the ego's phantom from the road, if it has one."""
         if ego in self._egos:
             self._egos.remove(ego)
-            with contextlib.suppress(*SUMO_ERRORS):
-                libsumo.vehicle.remove(PREFIX + ego)
+            remove(PREFIX + ego)
 
     def _add(self, ego: str, step: float) -> None:
         vehicle, phantom = libsumo.vehicle, PREFIX + ego
-        # the ego's own copy of its type ("type@ego") dies with the first vehicle that has it: take the original
-        vehicle.add(phantom, "", vehicle.getTypeID(ego).removesuffix(f"@{ego}"))
+        add(phantom, ego)
         vehicle.setRoute(phantom, vehicle.getRoute(ego)[vehicle.getRouteIndex(ego) :])
-        vehicle.setLaneChangeMode(phantom, NEVER_CHANGES_LANE)
         vehicle.setActionStepLength(phantom, step)
         self._egos.add(ego)

@@ -8,6 +8,7 @@ import libsumo
 import numpy as np
 
 from emran_sumo.path import Path
+from emran_sumo.world.crossings import Crossing, crossings, inside, sampled
 from emran_sumo.world.lanes import (
     JUNCTION_TOLERANCE,
     LANE_TOLERANCE,
@@ -19,9 +20,10 @@ from emran_sumo.world.lanes import (
     smooth_path,
 )
 from emran_sumo.world.records import Lane, Road
-from emran_sumo.world.turnaround import turned
+from emran_sumo.world.turnaround import SAMPLING, turned
 
 BESIDE_LOOP = 3.0  # m
+BEHIND_LOOP = 8.0  # m of the lane behind it that have to be free before it is driven
 HORIZON = 6000.0  # m that a path looks ahead at the most
 
 
@@ -35,14 +37,27 @@ class Beside(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Where paths turn back wider than the road: points (n, 2) [m], and the lanes that turn back."""
+    """Where paths turn back wider than the road.
+
+    points: (n, 2) [m]; lanes: that turn back; beside: (n, 3) places on them, x, y [m] and yaw [rad], for each point;
+    way: the points and some of the lane behind them (m, 2) [m]; crossings: the ways through the junction that cross it.
+    """
 
     points: np.ndarray
     lanes: tuple[str, ...]
+    beside: np.ndarray
+    way: np.ndarray
+    crossings: tuple[Crossing, ...]
 
     def is_near(self, x: float, y: float) -> bool:
         """Whether (x, y) [m] is beside the loop."""
         return bool((np.hypot(*(self.points - (x, y)).T) < BESIDE_LOOP).any())
+
+    def on_lanes(self, x: float, y: float) -> Beside:
+        """The place on the lanes that turn back for a body at (x, y) [m] on the loop: as far along, in shares."""
+        k = int(np.hypot(*(self.points - (x, y)).T).argmin())
+        x, y, yaw = map(float, self.beside[k])
+        return Beside(x, y, yaw, 0.0)
 
 
 class RoadMap:
@@ -92,11 +107,24 @@ class RoadMap:
             loop = turned(lines[one], lines[following])
             if loop is not None:
                 turning = chain[one : following + 1]
-                self._loops[turning[0], libsumo.lane.getEdgeID(turning[-1])] = Loop(loop[1][:, :2], turning)
+                self._note_loop(turning, loop[1][:, :2], loop[2][:, :2])
                 lines[one : following + 1] = loop
                 tolerances[one : following + 1] = [LANE_TOLERANCE] * 3
         # dense: a tolerance ends where its lane ends
         return [dense(line) for line in lines], tolerances
+
+    def _note_loop(self, turning: tuple[str, ...], points: np.ndarray, onward: np.ndarray) -> None:
+        key = turning[0], libsumo.lane.getEdgeID(turning[-1])
+        if key not in self._loops or self._loops[key].lanes != turning:
+            way = np.vstack((points, sampled(onward, SAMPLING)[1 : 1 + int(BEHIND_LOOP / SAMPLING)]))
+            shapes = [self.shape(name)[:, :2] for name in turning]
+            turn = sampled(
+                np.vstack((points[:1], shapes[0][-1:], *shapes[1:-1], shapes[-1][:1], points[-1:])), SAMPLING
+            )
+            share = np.linspace(0.0, len(turn) - 1.0, len(points))
+            yaw = np.unwrap(np.arctan2(*np.gradient(turn, axis=0).T[::-1]))
+            beside = np.column_stack([np.interp(share, np.arange(len(turn)), of) for of in (*turn.T, yaw)])
+            self._loops[key] = Loop(points, turning, beside, way, crossings(points, turning, self.shape))
 
     @property
     def has_loops(self) -> bool:
@@ -141,7 +169,7 @@ class RoadMap:
             if not links or length > HORIZON:
                 break
             best = max(links, key=lambda link: reach.get(link[0], 0))
-            chain += self._inside(best[4])
+            chain += inside(best[4])
             lane = best[0]
             chain.append(lane)
             length += libsumo.lane.getLength(lane)
@@ -161,21 +189,12 @@ class RoadMap:
                     reach[lane] = 0
         return reach
 
-    def _inside(self, via: str) -> list[str]:
-        """Lanes inside a junction from `via` on; there may be two in a row."""
-        found: list[str] = []
-        while via and via.startswith(":"):
-            found.append(via)
-            links = libsumo.lane.getLinks(via)
-            via = links[0][4] if links else ""
-        return found
-
     def _through(self, internal: str) -> list[str]:
         """What follows a lane inside a junction, up to the lane behind it."""
         links = libsumo.lane.getLinks(internal)
         if not links:
             return []
-        return [*self._inside(links[0][4]), links[0][0]]
+        return [*inside(links[0][4]), links[0][0]]
 
     def _before(self, lane: str, edge: str) -> list[str]:
         """The lane of `edge` that leads into `lane`, and the junction between."""
@@ -183,7 +202,7 @@ class RoadMap:
             name = f"{edge}_{k}"
             for link in libsumo.lane.getLinks(name):
                 if link[0] == lane:
-                    return [name, *self._inside(link[4])]
+                    return [name, *inside(link[4])]
         return []
 
     def neighbor(self, lane: str, side: int) -> str | None:

@@ -11,6 +11,7 @@ import libsumo
 
 from emran_sumo.path import Path
 from emran_sumo.world import braking, phantom, session, wishes
+from emran_sumo.world.passages import Passages
 from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import Intent, Pose, Road, TakeOver, Traffic
 from emran_sumo.world.roadmap import RoadMap
@@ -50,6 +51,7 @@ class SumoWorld:
         self._closed = False
         self._sight = Sight()
         self._phantoms = Phantoms()
+        self._passages = Passages()
         self._held: dict[str, int] = {}
         self._searched: dict[str, str] = {}  # off-road egos and where they want to go
         self._fronts: dict[str, float] = {}
@@ -192,33 +194,31 @@ class SumoWorld:
         wish answers the present state without a step of delay.
         """
         with told():
-            caps = {ego: braking.speed_cap(ego, self._lags[ego], self.step) for ego in poses if self.knows(ego)}
-            for ego, pose in poses.items():
-                if not self.knows(ego):
-                    continue
+            known = {ego: pose for ego, pose in poses.items() if self.knows(ego)}
+            obey = [ego for ego in known if not self._turning.is_under_way(ego)]
+            caps = {ego: braking.speed_cap(ego, self._lags[ego], self.step) for ego in obey}
+            for ego, pose in known.items():
                 ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
                 self._place(ego, pose._replace(x=x, y=y))
             self._pending = True
             libsumo.simulation.executeMove()
             self._note(fresh=True)
-            intents = {ego: self._intent(ego) for ego in poses}
-            return {
-                ego: intent._replace(speed=min(intent.speed, caps.get(ego, math.inf)))
-                for ego, intent in intents.items()
-            }
+            wanted = {ego: self._intent(ego, pose.speed) for ego, pose in poses.items()}
+            return {ego: it._replace(speed=min(it.speed, caps.get(ego, math.inf))) for ego, it in wanted.items()}
 
-    def _intent(self, ego: str) -> Intent:
-        vehicle = libsumo.vehicle
+    def _intent(self, ego: str, present: float) -> Intent:
         lane = self.lane_of(ego)
         if not lane:
-            return Intent(vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
+            return Intent(libsumo.vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
         speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
         if self.map.has_loops:
-            speed = min(speed, self._turning.speed(ego, lane, self.neighbors))
+            speed = self._turning.speed(ego, lane, present, speed, self.neighbors)
+            if self._turning.is_under_way(ego):
+                return Intent(speed, top=libsumo.vehicle.getAllowedSpeed(ego))
         if change.needs_room and ego not in self._phantoms:
             speed = min(speed, braking.speed_for_room(ego, self.step))
-        return Intent(speed, change.side, top=vehicle.getAllowedSpeed(ego))
+        return Intent(speed, change.side, top=libsumo.vehicle.getAllowedSpeed(ego))
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
@@ -248,9 +248,11 @@ class SumoWorld:
             self._note(fresh=False)
             self._pending = False
             for ego, pose in poses.items():
-                if not self.lane_of(ego):
+                if not (lane := self.lane_of(ego)):
                     continue
                 self._lead_on(ego)
+                if self._passages.note(ego, lane):
+                    self.rerouted(ego)  # the way is the same
                 speed = max(pose.speed, 0.0)
                 libsumo.vehicle.setPreviousSpeed(ego, speed, pose.accel)
                 self._phantoms.set_speed(ego, speed, pose.accel)
@@ -290,7 +292,7 @@ class SumoWorld:
         The phantom gives traffic in both lanes the ego as its leader.
         """
         bumper = self._bumper(ego, pose)
-        beside = self._turning.look(ego, self.lane_of(ego), *bumper) if self.map.has_loops else None
+        beside = self._turning.look(ego, *bumper) if self.map.has_loops else None
         if beside is not None:
             session.move(ego, beside.x, beside.y, beside.yaw)
             self._phantoms.drop(ego)
@@ -371,6 +373,7 @@ class SumoWorld:
     def release(self, ego: str) -> None:
         """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
         self._phantoms.drop(ego)
+        self._turning.drop(ego)
         with contextlib.suppress(*SUMO_ERRORS):
             self._sight.close(ego)
             libsumo.vehicle.remove(ego, REMOVE_ARRIVED)
@@ -381,7 +384,7 @@ class SumoWorld:
 
     def vehicle_count(self) -> int:
         """Vehicles on the road, without phantoms."""
-        return libsumo.vehicle.getIDCount() - len(self._phantoms)
+        return libsumo.vehicle.getIDCount() - len(self._phantoms) - self._turning.phantoms
 
     def road(self) -> Road:
         """Lanes outside junctions and the junctions' outlines."""
