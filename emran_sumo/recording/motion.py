@@ -114,7 +114,7 @@ def _draw_tires(stream: Stream) -> None:
             f"/tires/{axle}/axes", rr.LineStrips2D(axes, radii=rr.Radius.ui_points(0.5), colors=packed([SLATE]))
         )
         name = rr.Points2D(
-            [(middle, -9.6)], radii=rr.Radius.ui_points(0.1), colors=packed([color]), labels=f"{axle} axle",
+            [(middle, -11.8)], radii=rr.Radius.ui_points(0.1), colors=packed([color]), labels=f"{axle} axle",
             show_labels=True,
         )  # fmt: skip
         stream.static(f"/tires/{axle}/name", name)
