@@ -94,7 +94,7 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.B
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
         rrb.Tabs(*(_tab(name, entities, extents) for name, entities in TABS.items()), active_tab=0),
-        row_shares=[1.4, 4.3],
+        row_shares=[1.3, 4.3],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[1.3, 1]),
@@ -127,7 +127,7 @@ def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.
         parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
         legend = max((len(PLOTS[view].curves) for view in row if view in PLOTS and PLOTS[view].legend), default=0)
         tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
-        shares.append(1.6 if tall else {4: 1.9, 3: 1.4}.get(legend, 1.0))  # room for the picture, for the legend
+        shares.append(1.5 if tall else {4: 2.1, 3: 1.4}.get(legend, 1.0))  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
@@ -160,7 +160,7 @@ def _tire_forces() -> rrb.Spatial2DView:
         origin="/tires",
         name="Tire forces in friction × load",
         background=list(NIGHT),
-        visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-13.5, 10.0]),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-14.5, 10.0]),
     )
 
 

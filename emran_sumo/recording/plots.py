@@ -188,14 +188,21 @@ EVENT_COLORS = {"DEBUG": SLATE, "INFO": BLUE, "WARN": AMBER, "ERROR": RED}
 
 
 def between(low: float, high: float, digits: int = 2) -> str:
-    """The range low..high in `digits` of the larger end, 0: in whole numbers; one number where the ends are alike."""
-    largest = max(abs(low), abs(high))
+    """The range low..high in `digits` of the larger end, in up to two more where the ends differ by less, 0: in whole
+    numbers; one number where the ends are alike even so."""
+    largest, apart = max(abs(low), abs(high)), high - low
     decimals = 0
     if digits and 0.0 < largest < 100.0:
-        decimals = min(max(digits - 1 - math.floor(math.log10(largest)), digits - 1), 6)
+        decimals = max(digits - 1 - _decade(largest), digits - 1)
+        needed = -_decade(apart) if apart > 0.0 else 0
+        decimals = min(max(decimals, min(needed, decimals + 2)), 6)
     ends = [f"{end:.{decimals}f}" for end in (low, high)]
     ends = [(end if float(end) else "0").replace("-", "−") for end in ends]
     return ends[0] if ends[0] == ends[1] else "…".join(ends)
+
+
+def _decade(value: float) -> int:
+    return math.floor(math.log10(value))
 
 
 def ticked(low: float, high: float, most: int = 3) -> tuple[float, float]:
