@@ -127,7 +127,8 @@ def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.
         parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
         legend = max((len(PLOTS[view].curves) for view in row if view in PLOTS and PLOTS[view].legend), default=0)
         tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
-        shares.append(1.5 if tall else {4: 2.1, 3: 1.4}.get(legend, 1.0))  # room for the picture, for the legend
+        least = 1.1 if len(row) == 3 else 1.0
+        shares.append(1.4 if tall else {4: 2.1, 3: 1.4}.get(legend, least))  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
