@@ -213,6 +213,7 @@ class Ego:
                 wanted.speed + self._lead(wanted.speed, step),
                 most,
                 max(self._curve_speed(), before - CURVE_BRAKING * step),
+                before + self._eased(wanted.top - before, step),
             )
             end = max(end, before - self.scenario.longitudinal.decel_max * step)
             end = max(self._softened(end, step), self.speed + change - BEHIND_MOST, 0.0)
@@ -229,6 +230,15 @@ class Ego:
         if end > before - HARD_BRAKING * step:
             end = max(end, before + (accel - HARDER * step) * step)
         return min(end, before + (accel + SOFTER * step) * step)
+
+    def _eased(self, left: float, step: float) -> float:
+        """Rise of the reference in a step [m/s] from which it comes to a speed `left` above it without a swing.
+
+        With the acceleration a: a step + (a - SOFTER step) step + ... = left; SUMO speeds up to the last moment.
+        """
+        if left <= 0.0:
+            return math.inf
+        return SOFTER * (math.sqrt(0.25 * step * step + 2.0 * left / SOFTER) - 0.5 * step) * step
 
     def _lead(self, wish: float, step: float) -> float:
         """How far the reference keeps ahead of a car that sets off [m/s].

@@ -246,6 +246,22 @@ def test_a_share_is_taken_of_those_that_depart_on_the_way_too(tmp_path):
     assert set(told["egos"]) == {f"c{k}" for k in range(5)}
 
 
+def test_the_reference_comes_to_the_limit_without_swing_or_dawdling(tmp_path):
+    imperfect = vehicle("ego", "west2.a2 a2.b2", 5, "2", kind="human")
+    types = '<vType id="human" accel="2.6" decel="4.5" sigma="0.5" speedFactor="1" speedDev="0"/>'
+    file = written(tmp_path / "user", [imperfect], additional=types)
+    columns = {"speed_reference", "accel_reference"}
+    result = run(file, 9.0, "ego", controller="coupled-base")
+    speed, accel = (result.trace[:, COLUMNS.index(name)] for name in sorted(columns, reverse=True))
+    assert speed[-1] == pytest.approx(13.89, abs=0.01)
+    assert speed.max() < 13.89 + 0.02
+    # steps of 0.05 s: SUMO's driver speeds up at 2.6 m/s2, and the wish ends within 10 m/s3
+    assert accel.max() == pytest.approx(2.6, abs=0.1)
+    assert accel.min() > -0.1
+    assert np.diff(accel).min() > -2 * 10.0 * 0.05
+    assert (np.diff(speed[accel > 2.5]) >= 0.0).all()
+
+
 def test_traffic_that_crosses_is_no_lead(tmp_path):
     crossing = stream("w", "a2.b2 b2.c2", 6)
     result = run(written(tmp_path / "user", [ego("b1.b2 b2.b3"), *crossing]), 15.0, "ego")

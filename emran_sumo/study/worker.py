@@ -28,7 +28,6 @@ _SUMS = (
 _DISK = (errno.ENOSPC, errno.EROFS, errno.EDQUOT)
 
 _one_at_a_time = threading.Lock()  # libsumo holds one simulation per process
-_nowhere = open(os.devnull, "w")  # noqa: SIM115
 
 
 class Task(NamedTuple):
@@ -103,10 +102,10 @@ def _end_with_parent() -> None:
 
 def drive_task(task: Task) -> Outcome:
     """Drive a run; every error becomes a word, because SUMO's exceptions cannot be pickled."""
-    with _one_at_a_time:
+    with _one_at_a_time, open(os.devnull, "w") as nowhere:
         began = time.perf_counter()
         # a hanging library cannot be interrupted, only ended together with its process
-        faulthandler.dump_traceback_later(task.timeout, exit=True, file=_nowhere)
+        faulthandler.dump_traceback_later(task.timeout, exit=True, file=nowhere)
         try:
             outcome = _driven(task)
         except (KeyboardInterrupt, Interrupted):

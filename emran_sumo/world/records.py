@@ -85,14 +85,15 @@ class Intent(NamedTuple):
     """What the world wants of an ego in one step.
 
     speed [m/s] at the end of the step. side: +1 to change to the lane on the left, -1 right, 0 stay; only a change that
-    nobody blocks. Where the profile within the step is known: speeds (n + 1,) [m/s] at the borders of the n control
-    periods and accels (n,) [m/s2], ahead by the lag of the drive.
+    nobody blocks. top [m/s]: what the road and the car allow. Where the profile within the step is known: speeds
+    (n + 1,) [m/s] at the borders of the n control periods and accels (n,) [m/s2], ahead by the lag of the drive.
     """
 
     speed: float
     side: int = 0
     speeds: np.ndarray | None = None
     accels: np.ndarray | None = None
+    top: float = np.inf
 
 
 class TakeOver(NamedTuple):

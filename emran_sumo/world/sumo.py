@@ -153,6 +153,7 @@ class SumoWorld:
         params = {key: value for key, value in params.items() if value}
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
+        vehicle.setImperfection(ego, 0.0)  # a human's dawdling is no reference: it is drawn anew each step
         session.show(ego)
         self._sight.look_from(ego)
         lane = vehicle.getLaneID(ego)
@@ -217,7 +218,7 @@ class SumoWorld:
             speed = min(speed, self._turning.speed(ego, lane, self.neighbors))
         if change.needs_room and ego not in self._phantoms:
             speed = min(speed, braking.speed_for_room(ego, self.step))
-        return Intent(speed, change.side)
+        return Intent(speed, change.side, top=vehicle.getAllowedSpeed(ego))
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""
