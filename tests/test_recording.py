@@ -435,7 +435,18 @@ def test_a_stretch_with_another_friction_is_a_surface_on_the_asphalt(recorded):
     vertices = np.array(vertices)
     assert area(vertices, np.array(triangles)) == pytest.approx(40.0 * 3.5)
     assert road.ASPHALT_LEVEL < vertices[:, 2].min() <= vertices[:, 2].max() < road.LINE_LEVEL
-    assert static_of(recorded, "/world/road/patch/label", "Points3D:labels") == ["friction × 0.5"]
+    assert rows_of(recorded, "/world/road/patch/label", "Points3D:labels")[1] == [["friction × 0.5"]]
+
+
+def test_the_words_about_a_stretch_stand_beside_it_as_often_as_one_can_be_in_sight(tmp_path):
+    long = PATCH._replace(line=np.column_stack((np.linspace(0.0, 250.0, 126), np.zeros(126))))
+    with open_recorder(tmp_path / "a.rrd") as recorder:
+        recorder.patch(0.05, long)
+    _, (places,) = rows_of(tmp_path / "a.rrd", "/world/road/patch/label", "Points3D:positions")
+    _, (words,) = rows_of(tmp_path / "a.rrd", "/world/road/patch/label", "Points3D:labels")
+    assert words == ["friction × 0.5"] * 4
+    assert [place[0] for place in places] == [0.0, 80.0, 160.0, 240.0]
+    assert {place[1] < -3.5 / 2 for place in places} == {True}, "at the right edge or farther"
 
 
 def test_the_stretch_moves_to_another_lane_and_goes_where_none_is_in_sight(tmp_path):

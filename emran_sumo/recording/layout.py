@@ -202,10 +202,10 @@ def _top_down() -> rrb.Spatial3DView:
 
 def _chase() -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(kind="Orbital", position=(-13, 0, 5.5), look_target=(9, 0, 0.5), eye_up=(0, 0, 1))
-    return _scene("Chase camera", "/world/ego", eye)
+    return _scene("Chase camera", "/world/ego", eye, ("- /world/road/patch/label",))  # it would hide the road
 
 
-def _scene(name: str, origin: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
+def _scene(name: str, origin: str, eye: rrb.EyeControls3D, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:
     recent = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
@@ -214,7 +214,7 @@ def _scene(name: str, origin: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
-        contents=["/world/**", "- /world/map/**", "- /world/ego/marker"],
+        contents=["/world/**", "- /world/map/**", "- /world/ego/marker", *without],
         background=list(NIGHT),
         line_grid=False,
         eye_controls=eye,
