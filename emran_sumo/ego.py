@@ -109,8 +109,7 @@ class Ego:
         self.networks = blank_networks(self.control)
         self.tick = 0
         self.status = 0
-        weaves = scenario.world == "track" and scenario.track.shape == "double_lane_change"
-        self.maneuver = "double lane change" if weaves else "keep lane"
+        self.maneuver = scenario.track.maneuver if scenario.world == "track" else "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
         self.frames = Frames(len(COLUMNS))

@@ -972,3 +972,12 @@ def test_a_table_that_cannot_be_put_in_place_leaves_nothing_behind(tmp_path):
 def test_rows_that_do_not_fit_the_columns_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"rows of shape \(2, 3\) do not fit 2 columns"):
         write_trace(tmp_path / "a.parquet", ("time", "x"), np.zeros((2, 3)))
+
+
+def test_a_track_that_is_a_double_lane_change_is_told_as_one(tmp_path):
+    for name, maneuver in (("track_dlc", "double lane change"), ("track_cruise", "keep lane")):
+        file = drive_scenario(load(name, {"duration": (1.0, "")}), tmp_path).folder / "run.rrd"
+        assert rows_of(file, "/state/maneuver", "StateChange:state")[1] == [[maneuver]]
+        _, texts = rows_of(file, "/events", "TextLog:text")
+        speed = {"track_dlc": 10.0, "track_cruise": 28.0}[name]
+        assert texts[0] == [f"ego taken over at {speed:.1f} m/s"]
