@@ -11,7 +11,7 @@ from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve
 from emran_sumo.recording.stream import TIMELINE
 
 LEGEND_ROOM = 1.25  # times the run is what a plot of the whole run spans
-LETTERS = {1: 75, 2: 27, 3: 12}  # that a heading has room for in a window of 1366 pixels, by the views in its row
+LETTERS = {1: 75, 2: 29, 3: 12}  # that a heading has room for in a window of 1366 pixels, by the views in its row
 FORCES, SPACE_STEERING, SPACE_SPEED = "tire forces", "space steering", "space speed"  # views that are no plots
 # Tab -> rows of views; more tabs, longer names or a fifth row do not fit a window of 1366 x 768 pixels.
 TABS = {

@@ -60,7 +60,12 @@ def heading(plot: Plot, reached: tuple[float, float] | None, room: int) -> str:
             f"{plot.title} {between(*reached, 0 if plot.steps else n)} {plot.unit}".rstrip() for n in (2, 1)
         )
     wishes = (f"{fine}; {plot.note}", fine, coarse) if plot.note else (fine, coarse)
-    return next((wish for wish in wishes if len(wish) <= room), plain)
+    return next((wish for wish in wishes if _letters(wish) <= room), plain)
+
+
+def _letters(text: str) -> float:
+    """Length in the viewer's font, whose digits are wider than its average letter."""
+    return len(text) + 0.25 * sum(letter.isdigit() for letter in text)
 
 
 def _axles(name: str, unit: str = "") -> tuple[Curve, ...]:
