@@ -11,6 +11,7 @@ from emran_sumo.ego import COLUMNS
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.manifest import writable
 from emran_sumo.recording.comparison import MOST, Compared, write_comparison
+from emran_sumo.report import surroundings
 from emran_sumo.scenario import Located, load
 from emran_sumo.user_code import maker
 
@@ -170,9 +171,11 @@ def _best(measure: Measure, results: list[drive.RunResult], values: list, texts:
 def markdown(first: Located, results: Mapping[str, drive.RunResult], command: str) -> str:
     """The summary inside the recording; the best value of a row is bold."""
     s = first.values
-    where = "open road" if s.world == "track" else f"{s.traffic.density:g} vehicles/km/lane"
+    where = surroundings(s.world, s.traffic.density)
     names = list(results)
-    lines = [f"**{first.name}, seed {s.seed}, {where}: {len(names)} controllers; the best value of a row is bold.**\n"]
+    title = f"{s.title}. " if s.title else ""
+    told = f"{first.name}, seed {s.seed}, {where}: {len(names)} controllers; the best value of a row is bold."
+    lines = [f"**{title}{told}**\n"]
     lines.append(f"| | {' | '.join(names)} |")
     lines.append("|---|" + "---:|" * len(names))
     for row in rows(results):

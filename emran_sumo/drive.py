@@ -309,6 +309,8 @@ class Host:
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
     control, row = ego.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
+    if before is None:
+        recorder.event(0.0, "INFO", f"ego taken over at {ego.frames.last[0][AT.speed_long]:.1f} m/s")
     recorder.state(ego.time, "maneuver", ego.maneuver)
     recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:

@@ -109,7 +109,7 @@ class Ego:
         self.networks = blank_networks(self.control)
         self.tick = 0
         self.status = 0
-        self.maneuver = "keep lane"
+        self.maneuver = scenario.track.maneuver if scenario.world == "track" else "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
         self.frames = Frames(len(COLUMNS))

@@ -64,8 +64,15 @@ def verdict(summary: dict[str, Any]) -> str:
     """One sentence: what was driven and how it ended."""
     s = summary["manifest"]["scenario"]
     name = summary["manifest"]["scenario_name"]
-    where = "open road" if s["world"] == "track" else f"{s['traffic']['density']:g} vehicles/km/lane"
+    where = surroundings(s["world"], s["traffic"]["density"])
     return f"{name}, {s['controller']}, seed {s['seed']}, {where}: {summary['ended']}, {summary['reason']}."
+
+
+def surroundings(world: str, density: float) -> str:
+    """The traffic in a few words; without a density it is that of the scenario's files."""
+    if world == "track":
+        return "open road"
+    return f"{density:g} vehicles/km/lane" if density > 0.0 else "traffic of its files"
 
 
 def summary_markdown(summary: dict[str, Any]) -> str:
@@ -86,8 +93,9 @@ def summary_markdown(summary: dict[str, Any]) -> str:
     head = " | ".join(name for name, _ in cells)
     line = " | ".join("---" for _ in cells)
     body = " | ".join(value for _, value in cells)
+    title = summary["manifest"]["scenario"]["title"]
     parts = [
-        f"**{verdict(summary)}**",
+        f"**{title}.** {verdict(summary)}" if title else f"**{verdict(summary)}**",
         f"| {head} |\n| {line} |\n| {body} |",
         f"Repeat: `{summary['manifest']['command']}`",
         _all_metrics(summary),

@@ -31,7 +31,7 @@ from emran_sumo.plant.disturbance import DisturbanceParams
 from emran_sumo.recording import colors, plots, road
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.insight import Insight, insight
-from emran_sumo.recording.layout import FORCES, SPACE_SPEED, SPACE_STEERING, TABS
+from emran_sumo.recording.layout import FORCES, LETTERS, SPACE_SPEED, SPACE_STEERING, TABS
 from emran_sumo.recording.recorder import Recorder
 from emran_sumo.recording.surroundings import Patch, patch_on
 from emran_sumo.recording.table import read_trace, read_units, write_trace
@@ -303,13 +303,12 @@ def test_every_plot_of_the_layout_is_on_a_tab_and_every_tab_shows_plots_that_exi
 def test_ego_and_traffic_stand_where_they_were_at_the_same_instants(recorded, trace):
     times, centers = rows_of(recorded, "/world/traffic", "Boxes3D:centers")
     ego_times, places = rows_of(recorded, "/world/ego", "Transform3D:translation")
-    np.testing.assert_array_equal(times, np.arange(50, 20001, 50) * 1_000_000)
+    np.testing.assert_array_equal(times, INSTANTS)
     np.testing.assert_array_equal(times, ego_times)
-    np.testing.assert_allclose(
-        np.array(places)[:, 0, :2], trace[4::5, [COLUMNS.index("x"), COLUMNS.index("y")]], atol=1e-3
-    )
-    for k in (0, 79, 80, 399):  # around a chunk's border too
-        then = traffic_at((k + 1) / 20, 100)
+    expected = np.column_stack((column(trace, "x"), column(trace, "y")))
+    np.testing.assert_allclose(np.array(places)[:, 0, :2], expected, atol=1e-3)
+    for k in (0, 1, 80, 81, 400):  # around a chunk's border too
+        then = traffic_at(max(k, 1) / 20, 100)
         np.testing.assert_allclose(np.array(centers[k])[:, 0], then.x, atol=1 / 128 + 1e-4)
         np.testing.assert_allclose(np.array(centers[k])[:, 1], then.y, atol=1 / 128 + 1e-4)
 
@@ -321,7 +320,7 @@ def test_an_instant_without_vehicles_clears_the_traffic(tmp_path):
             rows = trace[5 * k : 5 * k + 5]
             recorder.write(rows, traffic_at(0.0, vehicles), np.zeros((0, 2)))
     _, centers = rows_of(tmp_path / "a.rrd", "/world/traffic", "Boxes3D:centers")
-    assert [len(c) for c in centers] == [3, 0, 2]
+    assert [len(c) for c in centers] == [3, 3, 0, 2], "the first step twice: where the file opens, and at its end"
 
 
 def test_other_egos_are_boxes_of_their_own_with_their_ids(tmp_path):
@@ -331,11 +330,11 @@ def test_other_egos_are_boxes_of_their_own_with_their_ids(tmp_path):
             recorder.write(trace[5 * k : 5 * k + 5], traffic_at(0.0, 4), np.zeros((0, 2)), egos)
     then = traffic_at(0.0, 4)
     _, others = rows_of(tmp_path / "a.rrd", "/world/traffic", "Boxes3D:centers")
-    assert [len(c) for c in others] == [4, 2, 3]
+    assert [len(c) for c in others] == [4, 4, 2, 3]
     _, egos = rows_of(tmp_path / "a.rrd", "/world/traffic/egos", "Boxes3D:centers")
     _, ids = rows_of(tmp_path / "a.rrd", "/world/traffic/egos", "Boxes3D:labels")
-    assert ids == [[], ["v1", "v2"], ["v1"]]
-    np.testing.assert_allclose(np.array(egos[1])[:, 0], then.x[1:3], atol=1 / 64)
+    assert ids == [[], [], ["v1", "v2"], ["v1"]]
+    np.testing.assert_allclose(np.array(egos[2])[:, 0], then.x[1:3], atol=1 / 64)
 
 
 def test_faster_traffic_is_never_redder_and_the_ends_are_red_and_blue():
@@ -345,20 +344,22 @@ def test_faster_traffic_is_never_redder_and_the_ends_are_red_and_blue():
     ]  # fmt: skip
 
 
-def test_events_and_states_keep_their_times_and_repeated_states_are_dropped(tmp_path):
+def test_states_keep_their_times_events_stand_at_the_next_tenth_and_repeated_states_are_dropped(tmp_path):
     with open_recorder(tmp_path / "a.rrd") as recorder:
         for time_, value in ((0.0, "off"), (1.05, "off"), (2.15, "learning")):
             recorder.state(time_, "learning", value)
-        recorder.event(0.35, "WARN", "gap too small")
+        for time_ in (0.0, 0.3, 0.31, 0.35, 12.4):
+            recorder.event(time_, "WARN", "gap too small")
     times, states = rows_of(tmp_path / "a.rrd", "/state/learning", "StateChange:state")
     assert (times.tolist(), states) == ([0, 2_150_000_000], [["off"], ["learning"]])
     times, texts = rows_of(tmp_path / "a.rrd", "/events", "TextLog:text")
-    assert (times.tolist(), texts) == ([350_000_000], [["gap too small"]])
+    assert (times / 1e9).tolist() == [0.0, 0.3, 0.4, 0.4, 12.4]
+    assert texts == [["gap too small"]] * 5
 
 
 def column(trace: np.ndarray, name: str) -> np.ndarray:
-    """A column at the ends of the SUMO steps."""
-    return trace[4::5, COLUMNS.index(name)]
+    """A column at the first row, where the file opens, and at the ends of the SUMO steps."""
+    return trace[np.r_[0, 4 : len(trace) : 5], COLUMNS.index(name)]
 
 
 def held(times: np.ndarray, values: list, instants: np.ndarray) -> list:
@@ -366,7 +367,7 @@ def held(times: np.ndarray, values: list, instants: np.ndarray) -> list:
     return [values[k] for k in np.searchsorted(times, instants, side="right") - 1]
 
 
-INSTANTS = np.arange(50, 20001, 50) * 1_000_000
+INSTANTS = np.r_[10, 50:20001:50] * 1_000_000
 
 
 def test_the_brake_lights_shine_exactly_while_the_wheels_are_braked(recorded, trace):
@@ -434,7 +435,18 @@ def test_a_stretch_with_another_friction_is_a_surface_on_the_asphalt(recorded):
     vertices = np.array(vertices)
     assert area(vertices, np.array(triangles)) == pytest.approx(40.0 * 3.5)
     assert road.ASPHALT_LEVEL < vertices[:, 2].min() <= vertices[:, 2].max() < road.LINE_LEVEL
-    assert static_of(recorded, "/world/road/patch/label", "Points3D:labels") == ["friction × 0.5"]
+    assert rows_of(recorded, "/world/road/patch/label", "Points3D:labels")[1] == [["friction × 0.5"]]
+
+
+def test_the_words_about_a_stretch_stand_beside_it_as_often_as_one_can_be_in_sight(tmp_path):
+    long = PATCH._replace(line=np.column_stack((np.linspace(0.0, 250.0, 126), np.zeros(126))))
+    with open_recorder(tmp_path / "a.rrd") as recorder:
+        recorder.patch(0.05, long)
+    _, (places,) = rows_of(tmp_path / "a.rrd", "/world/road/patch/label", "Points3D:positions")
+    _, (words,) = rows_of(tmp_path / "a.rrd", "/world/road/patch/label", "Points3D:labels")
+    assert words == ["friction × 0.5"] * 4
+    assert [place[0] for place in places] == [0.0, 80.0, 160.0, 240.0]
+    assert {place[1] < -3.5 / 2 for place in places} == {True}, "at the right edge or farther"
 
 
 def test_the_stretch_moves_to_another_lane_and_goes_where_none_is_in_sight(tmp_path):
@@ -479,10 +491,10 @@ def test_the_inside_of_a_network_is_recorded_as_it_was(recorded):
 def test_a_disturbance_that_comes_and_goes_is_an_event_and_a_state(recorded):
     times, texts = rows_of(recorded, "/events", "TextLog:text")
     found = {text: t / 1e9 for t, (text,) in zip(times, texts, strict=True)}
-    assert found["friction falls to 0.50"] == pytest.approx(7.01)
-    assert found["friction rises to 0.90"] == pytest.approx(9.01)
-    assert found["side force begins, to the right"] == pytest.approx(10.01)
-    assert found["side force over, 2.5 kN at the most"] == pytest.approx(12.01)
+    assert found["friction falls to 0.50"] == pytest.approx(7.1)
+    assert found["friction rises to 0.90"] == pytest.approx(9.1)
+    assert found["side force begins, to the right"] == pytest.approx(10.1)
+    assert found["side force over, 2.5 kN at the most"] == pytest.approx(12.1)
     assert (np.diff(times) >= 0).all()
     times, states = rows_of(recorded, "/state/disturbance", "StateChange:state")
     assert np.round(times / 1e9, 2).tolist() == [7.01, 9.01, 10.01, 12.01]
@@ -523,16 +535,42 @@ def test_a_force_that_acts_from_the_start_and_a_wave_of_friction_are_told_sensib
 
 
 @pytest.mark.parametrize(
-    ("low", "high"),
-    [(-0.07, 0.07), (-0.035, 0.03), (0.0, 7.0), (19.0, 20.1), (-3600.0, 1200.0), (0.0, 0.0), (5.0, 5.0)],
-)
-def test_an_axis_holds_its_curve_and_two_labels_that_have_room(low, high):
+    ("low", "high", "labels"),
+    [
+        (-0.07, 0.07, 2), (-0.035, 0.03, 1), (0.0, 7.0, 2), (19.0, 20.1, 2), (-3600.0, 1200.0, 1), (0.0, 0.0, 2),
+        (5.0, 5.0, 2), (-4.1, 3.6, 1), (-0.9, 2.0, 4), (-6.0, 9.0, 2),
+    ],
+)  # fmt: skip
+def test_an_axis_holds_its_curve_and_two_labels_unless_they_would_leave_much_of_it_empty(low, high, labels):
     bottom, top = plots.ticked(low, high)
     assert bottom <= low
     assert high <= top
+    assert high == low or (high - low) / (top - bottom) > 0.53
     decades = 10.0 ** np.arange(-9, 6)
     counts = [np.floor(top / d + 1e-9) - np.ceil(bottom / d - 1e-9) + 1 for d in decades]
-    assert any(2 <= count <= 6 for count in counts)
+    assert max(count for count in counts if count <= 4) == labels
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (-0.0616, 0.0702, "−0.062…0.070"), (18.93, 20.02, "18.9…20.0"), (-3604.0, 1203.5, "−3604…1204"),
+        (0.0, 0.0, "0"), (0.8, 0.8, "0.80"), (-0.0004, 13.9, "0…13.9"), (2e-9, 1e-8, "0"),
+        (9.9947, 10.0094, "9.99…10.01"), (9.9999999, 10.0, "10.000"),
+    ],
+)  # fmt: skip
+def test_a_range_is_told_in_two_digits_of_its_larger_end(low, high, words):
+    assert plots.between(low, high) == words
+
+
+def test_a_heading_tells_as_much_as_it_has_room_for():
+    plot = plots.Plot("Offset", "m", (), "left is up")
+    assert plots.heading(plot, None, 40) == "Offset [m]; left is up"
+    assert plots.heading(plot, (-0.31, 1.24), 40) == "Offset −0.3…1.2 m; left is up"
+    assert plots.heading(plot, (-0.31, 1.24), 18) == "Offset −0.3…1.2 m"
+    assert plots.heading(plot, (-0.31, 1.24), 15) == "Offset 0…1 m"
+    assert plots.heading(plot, (-0.31, 1.24), 11) == "Offset [m]"
+    assert plots.heading(plot._replace(steps=True), (0.0, 7.0), 40) == "Offset 0…7 m; left is up"
 
 
 def test_the_summary_and_the_properties_of_the_run_are_in_the_file(recorded):
@@ -557,7 +595,7 @@ def test_an_exception_closes_the_file_and_names_itself_in_the_summary(tmp_path):
         leave_the_road()
     assert rerun("verify", file) == 0
     assert "stopped early by ValueError off the road" in static_text(file)[-1]
-    assert len(rows_of(file, "/world/ego", "Transform3D:translation")[0]) == 20
+    assert len(rows_of(file, "/world/ego", "Transform3D:translation")[0]) == 21
 
 
 def test_closing_twice_is_harmless_and_writing_afterwards_is_refused(tmp_path):
@@ -594,19 +632,26 @@ def arranged(file: Path) -> tuple[list[str], dict[str, list]]:
     return names, axes
 
 
-TITLES = {plot.title for plot in (*plots.PLOTS.values(), *plots.INSIGHTS.values())}
+DRAWN = plots.PLOTS | plots.INSIGHTS
+SHOWN = [(name, LETTERS[len(row)]) for rows in TABS.values() for row in rows for name in row if name in DRAWN]
+TITLES = sorted(plots.heading(DRAWN[name], None, room) for name, room in SHOWN)  # while nothing is known of the run
 
 
-def test_a_finished_file_has_one_layout_whose_axes_were_set_when_the_run_ended(recorded):
+def test_a_finished_file_has_one_layout_whose_axes_and_headings_were_set_when_the_run_ended(recorded, trace):
     names, axes = arranged(recorded)
     assert {*TABS, "Chase camera", "Map", "Events", "Summary"} <= set(names)
-    views = [view for rows in TABS.values() for row in rows for view in row]
-    assert sorted(n for n in names if n in TITLES) == sorted(
-        (plots.PLOTS | plots.INSIGHTS)[view].title for view in views if view in plots.PLOTS | plots.INSIGHTS
-    ), "each view is sent once"
-    assert sum(name.endswith("lies to the left") for name in names) == 2
+    assert sorted(name for name in names if name in set(TITLES)) == TITLES, "each view is sent once at the begin"
+    error = trace[1::2, COLUMNS.index("cross_track_error")]
+    told = f"Cross-track error {plots.between(error.min(), error.max())} m; positive: path to the left"
+    assert names.count(told) == 2
     assert len(axes) > 25, "the plots of the trace have ranges now"
     assert {len(ranges) for ranges in axes.values()} == {1, 2}, "those that the drive has widened are sent again"
+
+
+def test_all_headings_and_tabs_have_room_in_a_window_of_1366_pixels():
+    assert max(len(title) / room for title, room in ((plots.heading(DRAWN[n], None, r), r) for n, r in SHOWN)) <= 1.0
+    assert len("".join(TABS)) <= 56, "594 pixels, 34 of each tab for its icon, 6 to 7 per letter"
+    assert max(len(rows) for rows in TABS.values()) <= 4
 
 
 def test_two_equal_drives_have_equal_layouts(tmp_path):
@@ -656,7 +701,7 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     assert "not finished" in summary[-1]
     with pytest.warns(RerunWarning, match="no footer"):
         names, _ = arranged(files[signal.SIGKILL])
-    assert set(TABS) | TITLES <= set(names), "all tabs and plots, as of a run that ended"
+    assert set(TABS) | set(TITLES) <= set(names), "all tabs and plots"
 
     assert rerun("verify", files[signal.SIGTERM]) == 0
     terminated, _ = rows_of(files[signal.SIGTERM], "/plots/ego", "trace:speed_long")
@@ -802,7 +847,8 @@ def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_pa
         assert (f"| {group} | {name} | {values[0]} |" in text) == (name != "real-time factor")
     for name, number in told["versions"].items():
         assert f"{name} {number}" in text
-    assert text.startswith(f"**{report.verdict(summary)}**")
+    assert text.startswith(f"**{told['scenario']['title']}.** {report.verdict(summary)}")
+    assert "traffic of its files: finished" in text
     assert "`emran-sumo run urban_signals --duration 12`" in text
     assert f"digest {told['digest']}" in text
 
@@ -810,7 +856,7 @@ def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_pa
     lines = static_of(file, "/world/signals/lines", "LineStrips3D:strips")
     times, shown = rows_of(file, "/world/signals/lines", "LineStrips3D:colors")
     assert {len(c) for c in shown} == {len(lines)}
-    assert times[0] == 50_000_000
+    assert times[0] == 10_000_000, "where the file opens"
     known = set(colors.packed(colors.SIGNAL_COLORS.values()).tolist())
     assert {c for row in shown for c in row} <= known
     assert all(one != following for one, following in pairwise(shown)), "only changes are sent"
@@ -926,3 +972,12 @@ def test_a_table_that_cannot_be_put_in_place_leaves_nothing_behind(tmp_path):
 def test_rows_that_do_not_fit_the_columns_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"rows of shape \(2, 3\) do not fit 2 columns"):
         write_trace(tmp_path / "a.parquet", ("time", "x"), np.zeros((2, 3)))
+
+
+def test_a_track_that_is_a_double_lane_change_is_told_as_one(tmp_path):
+    for name, maneuver in (("track_dlc", "double lane change"), ("track_cruise", "keep lane")):
+        file = drive_scenario(load(name, {"duration": (1.0, "")}), tmp_path).folder / "run.rrd"
+        assert rows_of(file, "/state/maneuver", "StateChange:state")[1] == [[maneuver]]
+        _, texts = rows_of(file, "/events", "TextLog:text")
+        speed = {"track_dlc": 10.0, "track_cruise": 28.0}[name]
+        assert texts[0] == [f"ego taken over at {speed:.1f} m/s"]

@@ -8,7 +8,7 @@ import numpy as np
 PINK, SLATE, TEAL, AMBER = (244, 63, 160), (120, 136, 160), (45, 190, 175), (245, 158, 11)
 VIOLET, BLUE, RED, GREEN = (155, 120, 250), (14, 165, 233), (239, 80, 80), (34, 170, 100)
 NIGHT, ASPHALT, PAINT = (15, 18, 24), (44, 49, 58), (226, 232, 240)
-LABEL, COMPANION = (255, 255, 255), (205, 190, 255)  # behind words the light theme lays gray, the dark one black
+LABEL, COMPANION = (255, 255, 255), (230, 222, 255)  # behind words the light theme lays gray, the dark one black
 GLASS, RUBBER = (120, 20, 75), (12, 14, 18)
 BRAKE_ON, BRAKE_OFF = (255, 45, 35), (95, 12, 25)
 SLIPPERY = (30, 70, 130)  # asphalt with less friction

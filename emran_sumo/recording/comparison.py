@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 from emran_sumo.recording.arrangement import Arrangement
 from emran_sumo.recording.car import EgoShape
 from emran_sumo.recording.colors import COMPARED, NIGHT, SLATE, packed
-from emran_sumo.recording.comparison_layout import Shown, comparison_layout, curves
+from emran_sumo.recording.comparison_layout import PLOTS, Shown, comparison_layout, curves
 from emran_sumo.recording.layout import TIMELINE
 from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH, STATES, Curve
 from emran_sumo.recording.recorder import CHUNK, PLOT_PERIOD
@@ -53,12 +53,13 @@ def write_comparison(
     """
     shown = tuple(Shown(run.label, f"{i}_{run.label}", COMPARED[i - 1]) for i, run in enumerate(runs, 1))
     end = max(float(run.trace["time"][-1]) for run in runs)
+    layout = comparison_layout(shown, _bounds(runs[0].recording), end, _reached(runs))
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     stream = rr.RecordingStream(APPLICATION, recording_id=recording, send_properties=False)
     try:
         stream.save(str(part))
         stream.set_log_time_enabled(False)
-        Arrangement((stream,), APPLICATION).send(comparison_layout(shown, _bounds(runs[0].recording), end))
+        Arrangement((stream,), APPLICATION).send(layout)
         stream.send_recording_name(name)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.send_chunks(RrdReader(str(runs[0].recording)).stream().filter(content=TAKEN))
@@ -75,6 +76,16 @@ def write_comparison(
     finally:
         stream.disconnect()
         part.unlink(missing_ok=True)
+
+
+def _reached(runs: Sequence[Compared]) -> dict[str, tuple[float, float]]:
+    """Smallest and largest value of each plot, in its unit."""
+    found = {}
+    for name, plot in PLOTS.items():
+        (curve,) = plot.curves
+        values = [curve.scale * run.trace[curve.column] for run in runs]
+        found[name] = (min(float(v.min()) for v in values), max(float(v.max()) for v in values))
+    return found
 
 
 def _bounds(recording: Path) -> tuple[float, float, float, float]:
@@ -104,7 +115,7 @@ def _write_ego(stream: rr.RecordingStream, run: Compared, of: Shown, place: int)
         stream.log(f"{entity}/nose", _nose(ego, middle), static=True)
     stream.log(f"/world/trail/{of.key}", rr.LineStrips3D.from_fields(radii=0.07, colors=color), static=True)
     last = None
-    for times, (x, y, yaw) in _chunks(run.trace, STEP, ("x", "y", "yaw")):
+    for times, (x, y, yaw) in _chunks(run.trace, STEP, ("x", "y", "yaw"), opening=True):
         points = _points(x, y)
         _send(stream, entity, times, rr.Transform3D.columns(translation=points, quaternion=turns(yaw)))
         joined = np.concatenate((points[:1] if last is None else last, points)) + np.array(
@@ -130,7 +141,7 @@ def _write_frame(stream: rr.RecordingStream, trace: Mapping[str, np.ndarray]) ->
     """What the cameras follow, and the mark on the map: the first ego's place, turned as its road."""
     style = rr.Points3D.from_fields(radii=rr.Radius.ui_points(6), colors=packed([COMPARED[0]]))
     stream.log("/world/ego/marker", style, static=True)
-    for times, (x, y, yaw) in _chunks(trace, STEP, ("x", "y", "reference_yaw")):
+    for times, (x, y, yaw) in _chunks(trace, STEP, ("x", "y", "reference_yaw"), opening=True):
         points = _points(x, y)
         _send(stream, "/world/ego_frame", times, rr.Transform3D.columns(translation=points, quaternion=turns(yaw)))
         _send(stream, "/world/ego/marker", times, rr.Points3D.columns(positions=points))
@@ -157,10 +168,13 @@ def _write_maneuvers(stream: rr.RecordingStream, run: Compared, of: Shown) -> No
     stream.send_chunks(chunk.with_entity_path(entity) for chunk in own)
 
 
-def _chunks(trace: Mapping[str, np.ndarray], period: int, columns: tuple[str, ...]):
-    """Times [ms] and values (columns, n) of the rows at multiples of `period` [ms], a chunk at a time."""
+def _chunks(trace: Mapping[str, np.ndarray], period: int, columns: tuple[str, ...], opening: bool = False):
+    """Times [ms] and values (columns, n) of the rows at multiples of `period` [ms], a chunk at a time; with the
+    `opening` also of the first row, where the file opens."""
     times = np.rint(trace["time"] * 1e3).astype(np.int64)
-    chosen = np.flatnonzero(times % period == 0)
+    due = times % period == 0
+    due[0] |= opening
+    chosen = np.flatnonzero(due)
     ends = np.flatnonzero(np.diff(times[chosen] // CHUNK)) + 1
     for rows in np.split(chosen, ends):
         if rows.size:

@@ -7,31 +7,27 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from emran_sumo.recording.colors import LEGEND, NIGHT, packed
 from emran_sumo.recording.insight import AXES, DRAWN, Insight
-from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve, Plot, ticked
+from emran_sumo.recording.plots import ARCHETYPE, CURVES, INSIGHTS, PLOTS, Curve, Plot, heading, ticked
 from emran_sumo.recording.stream import TIMELINE
 
-# Tab -> rows of plots; more than four rows do not fit a window of 1080 pixels.
 LEGEND_ROOM = 1.25  # times the run is what a plot of the whole run spans
+LETTERS = {1: 75, 2: 29, 3: 12}  # that a heading has room for in a window of 1366 pixels, by the views in its row
 FORCES, SPACE_STEERING, SPACE_SPEED = "tire forces", "space steering", "space speed"  # views that are no plots
+# Tab -> rows of views; more tabs, longer names or a fifth row do not fit a window of 1366 x 768 pixels.
 TABS = {
     "Overview": (("speed",), ("cross_track_error",), ("steering",), ("neurons",)),
-    "Tracking": (("cross_track_error",), ("heading_error",), ("speed",), ("speed_error",)),
-    "Tires and plant": (
-        (FORCES, "friction_use"),
-        ("slip_angle", "slip_ratio", "load"),
-        ("friction", "grade", "force_external"),
-        ("yaw_rate", "accel_lat"),
-    ),
-    "Longitudinal network": (
-        ("acceleration", "torque"),
+    "Tracking": (("cross_track_error",), ("heading_error",), ("speed", "speed_error"), ("grade", "force_external")),
+    "Tires": ((FORCES, "friction_use"), ("slip_angle", "slip_ratio"), ("load", "friction"), ("yaw_rate", "accel_lat")),
+    "Speed network": (
+        ("acceleration",),
         ("signal_speed", "structure_speed"),
-        ("share_learned_speed", "covariance_speed"),
+        ("torque", "share_learned_speed", "covariance_speed"),
         (SPACE_SPEED, "weights_speed", "widths_speed"),
     ),
-    "Lateral network": (
-        ("steering", "learned"),
+    "Steering network": (
+        ("steering",),
         ("signal_steering", "structure_steering"),
-        ("share_learned_steering", "covariance_steering"),
+        ("learned", "share_learned_steering", "covariance_steering"),
         (SPACE_STEERING, "weights_steering", "widths_steering"),
     ),
     "Safety": (("gap",), ("time_to_collision",), ("deceleration_to_avoid",)),
@@ -62,13 +58,20 @@ class Extents:
         """Range (low, high) of a plot's vertical axis; None before anything was seen: the viewer finds it."""
         if plot.fixed:
             return plot.least
-        at = [k for k, curve in enumerate(CURVES) if curve in plot.curves]
-        if not at or not np.isfinite(self._low[at]).any():
+        reached = self.reached(plot)
+        if reached is None:
             return plot.least
-        low, high = self._low[at].min(), self._high[at].max()
+        low, high = reached
         if plot.least is not None:
             low, high = min(low, plot.least[0]), max(high, plot.least[1])
-        return ticked(float(low), float(high), 6 if len(plot.curves) > 3 else 5)
+        return ticked(low, high, 5 if len(plot.curves) > 3 else 3)
+
+    def reached(self, plot: Plot) -> tuple[float, float] | None:
+        """Smallest and largest value of a plot's curves; None before anything was seen."""
+        at = [k for k, curve in enumerate(CURVES) if curve in plot.curves]
+        if not at or not np.isfinite(self._low[at]).any():
+            return None
+        return float(np.nanmin(self._low[at])), float(np.nanmax(self._high[at]))
 
 
 def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.Blueprint:
@@ -83,7 +86,7 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.B
         rrb.Horizontal(
             rrb.Tabs(_chase(), road_map(bounds), active_tab=0),
             _events(),
-            column_shares=[1, 1.15],
+            column_shares=[1, 1.3],
         ),
         rrb.StateTimelineView(origin="/state", name="Maneuver, learning, disturbance", time_view=whole_run()),
         row_shares=[5, 4, 2.9],
@@ -94,7 +97,7 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.B
         row_shares=[1.3, 4.3],
     )
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[3, 2]),
+        rrb.Horizontal(left, right, column_shares=[1.3, 1]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -102,9 +105,8 @@ def layout(bounds: tuple[float, float, float, float], extents: Extents) -> rrb.B
 
 
 def _events() -> rrb.TextLogView:
-    return rrb.TextLogView(
-        origin="/events", name="Events", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
-    )
+    """Time and text; the color of a text is its level, and a column for that would cut off the text."""
+    return rrb.TextLogView(origin="/events", name="Events", columns=rrb.TextLogColumns(text_log_columns=["Body"]))
 
 
 def whole_run(end: float | None = None) -> rrb.TimeAxis:
@@ -121,33 +123,35 @@ def _tab(name: str, rows: tuple[tuple[str, ...], ...], extents: Extents) -> rrb.
     axis = whole_run(extents.end) if name == "Overview" else rrb.TimeAxis(link="LinkToGlobal")
     parts, shares = [], []
     for row in rows:
-        views = [_view(view, axis, extents) for view in row]
+        views = [_view(view, axis, extents, LETTERS[len(row)]) for view in row]
         parts.append(views[0] if len(views) == 1 else rrb.Horizontal(*views))
-        many = max((len(PLOTS[view].curves) for view in row if view in PLOTS), default=1)
+        legend = max((len(PLOTS[view].curves) for view in row if view in PLOTS and PLOTS[view].legend), default=0)
         tall = any(view not in PLOTS and view not in INSIGHTS for view in row)
-        shares.append(1.8 if tall else 1.45 if many > 3 else 1.0)  # room for the picture, for the legend
+        least = 1.1 if len(row) == 3 else 1.0
+        shares.append(1.4 if tall else {4: 2.1, 3: 1.4}.get(legend, least))  # room for the picture, for the legend
     return rrb.Vertical(*parts, row_shares=shares, name=name)
 
 
-def _view(name: str, axis: rrb.TimeAxis, extents: Extents) -> rrb.View:
+def _view(name: str, axis: rrb.TimeAxis, extents: Extents, room: int) -> rrb.View:
     if name == FORCES:
         return _tire_forces()
     if name in (SPACE_STEERING, SPACE_SPEED):
         return _space(name.split()[1], extents)
     plot = INSIGHTS.get(name) or PLOTS[name]
-    return _plot(plot, axis, extents.of(plot))
+    words = heading(plot, None if plot.fixed else extents.reached(plot), room)
+    return _plot(plot, words, axis, extents.of(plot))
 
 
-def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
+def _plot(plot: Plot, words: str, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
     sliding = axis.link is not None  # without room behind the end: counts grow away from the left
     corner = rrb.Corner2D.LeftTop if plot.steps and sliding else rrb.Corner2D.RightTop
     # All curves of an ego are components of one entity: a fifth of the size of one entity per curve.
     return rrb.TimeSeriesView(
         origin=plot.entity,
-        name=plot.title,
+        name=words,
         axis_x=axis,
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
-        plot_legend=rrb.PlotLegend(corner) if len(plot.curves) > 1 else rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend(corner) if plot.legend else rrb.PlotLegend(visible=False),
         overrides={plot.entity: [line(curve, plot.steps) for curve in plot.curves]},
     )
 
@@ -155,9 +159,9 @@ def _plot(plot: Plot, axis: rrb.TimeAxis, span: tuple[float, float] | None) -> r
 def _tire_forces() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="/tires",
-        name="Tire forces; circle: friction × load",
+        name="Tire forces in friction × load",
         background=list(NIGHT),
-        visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-11.0, 9.5]),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-20.5, 20.5], y_range=[-14.5, 10.0]),
     )
 
 
@@ -192,16 +196,16 @@ def line(curve: Curve, steps: bool) -> rrb.Visualizer:
 
 def _top_down() -> rrb.Spatial3DView:
     # Looking exactly down leaves the turn of the picture open; 1 cm aside settles it.
-    eye = rrb.EyeControls3D(kind="Orbital", position=(18, 0, 60), look_target=(18.01, 0, 0), eye_up=(0, 1, 0))
-    return _scene(f"Top-down; {LEGEND}", "/world/ego_frame", eye)
+    eye = rrb.EyeControls3D(kind="Orbital", position=(14, 0, 46), look_target=(14.01, 0, 0), eye_up=(0, 1, 0))
+    return _scene(f"Top-down: pink ego, teal its path; {LEGEND}", "/world/ego_frame", eye)
 
 
 def _chase() -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(kind="Orbital", position=(-13, 0, 5.5), look_target=(9, 0, 0.5), eye_up=(0, 0, 1))
-    return _scene("Chase camera", "/world/ego", eye)
+    return _scene("Chase camera", "/world/ego", eye, ("- /world/road/patch/label",))  # it would hide the road
 
 
-def _scene(name: str, origin: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
+def _scene(name: str, origin: str, eye: rrb.EyeControls3D, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:
     recent = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0),
@@ -210,7 +214,7 @@ def _scene(name: str, origin: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
-        contents=["/world/**", "- /world/map/**", "- /world/ego/marker"],
+        contents=["/world/**", "- /world/map/**", "- /world/ego/marker", *without],
         background=list(NIGHT),
         line_grid=False,
         eye_controls=eye,

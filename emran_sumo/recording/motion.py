@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from emran_sumo.recording.car import EgoShape
-from emran_sumo.recording.colors import AMBER, BLUE, BRAKE_OFF, BRAKE_ON, PINK, RED, SLATE, packed
+from emran_sumo.recording.colors import AMBER, BLUE, BRAKE_OFF, BRAKE_ON, LABEL, PINK, RED, SLATE, packed
 from emran_sumo.recording.stream import Changes, Stream, turns
 
 BRAKING = -100.0  # N m of wheel torque below which the brake lights shine
@@ -106,7 +106,7 @@ def _draw_tires(stream: Stream) -> None:
         colors=packed(color for *_, color in AXLES),
     )
     stream.static("/tires/forces", arrows)
-    for axle, middle, color in AXLES:
+    for axle, middle, _ in AXLES:
         limit = rr.LineStrips2D([circle], radii=rr.Radius.ui_points(1.5), colors=packed([RED]))
         stream.static(f"/tires/{axle}/limit", limit)
         axes = [[(middle - 9, 0), (middle + 9, 0)], [(middle, -9), (middle, 9)]]
@@ -114,7 +114,7 @@ def _draw_tires(stream: Stream) -> None:
             f"/tires/{axle}/axes", rr.LineStrips2D(axes, radii=rr.Radius.ui_points(0.5), colors=packed([SLATE]))
         )
         name = rr.Points2D(
-            [(middle, -9.6)], radii=rr.Radius.ui_points(0.1), colors=packed([color]), labels=f"{axle} axle",
+            [(middle, -12.8)], radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), labels=f"{axle} axle",
             show_labels=True,
         )  # fmt: skip
         stream.static(f"/tires/{axle}/name", name)

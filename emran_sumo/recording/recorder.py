@@ -28,6 +28,7 @@ from emran_sumo.world.records import Road, Traffic
 CHUNK = 8000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
 LIVE_CHUNK = 1000  # ms, where somebody watches
 LONG, LONG_CHUNK = 120_000, 24_000  # ms: after LONG; Rerun keeps 4 kB of each chunk until the file ends
+EVENT_GRID = 100  # ms
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
@@ -77,6 +78,8 @@ class Recorder:
         self._live = bool(live)
         self._closed = False
         self._chunk: int | None = None
+        self._begin: int | None = None  # ms, of the first row: the file opens there
+        self._shown, self._lit = False, False  # whether anything of the scene, of the lights was sent
         self._described: set[str] = set()
         self._last_state: dict[str, str] = {}
         self.patched: object = None  # the lane whose patch is drawn
@@ -130,21 +133,28 @@ class Recorder:
             raise RuntimeError("the recording is closed")
         rows = np.array(trace_rows, dtype=np.float64)
         now = round(float(rows[-1, self._time]) * 1e3)
+        opening = self._begin is None
+        shown = round(float(rows[0, self._time]) * 1e3) if opening else now
+        if opening:
+            self._begin = shown
         self._rows.append(rows)
         self._traffic.append((traffic, frozenset(egos)))
-        if now % REFERENCE_PERIOD == 0:
+        if opening or now % REFERENCE_PERIOD == 0:
             ahead = reference if len(reference) else rows[-1:, self._place]
-            self._references.append((now, _thinned(ahead)))
+            self._references.append((shown, _thinned(ahead)))
         period = LIVE_CHUNK if self._live else CHUNK if now <= LONG else LONG_CHUNK
         if self._chunk is not None and now // period > self._chunk:
             self._flush()
         self._chunk = now // period
 
     def event(self, time: float, level: str, text: str) -> None:
-        """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
+        """Add a line to the list of events; level is DEBUG, INFO, WARN or ERROR.
+
+        It stands at the tenth of a second that follows `time` [s]: the viewer cuts off longer numbers.
+        """
         if level not in EVENT_COLORS:
             raise ValueError(f"event level {level!r} is none of {', '.join(EVENT_COLORS)}")
-        self._events.append((round(time * 1e3), level, text))
+        self._events.append((-(-round(time * 1e3) // EVENT_GRID) * EVENT_GRID, level, text))
 
     def state(self, time: float, name: str, value: str) -> None:
         """Set the lane `name` of the state timeline to `value` from `time` [s] on; repeats are dropped."""
@@ -155,7 +165,8 @@ class Recorder:
 
     def signals(self, time: float, states: str) -> None:
         """What the lights show from `time` [s] on: a letter of SUMO per stop line of the road that has a light."""
-        self._signals.append((round(time * 1e3), states))
+        first, self._lit = not self._lit, True
+        self._signals.append((round(time * 1e3) if not first or self._begin is None else self._begin, states))
 
     def patch(self, time: float, patch: Patch | None) -> None:
         """The stretch of the road with another friction, from `time` [s] on: on another lane, or none in sight."""
@@ -243,13 +254,18 @@ class Recorder:
 
     def _send_scene(self) -> None:
         ends = np.array([frame[-1] for frame in self._rows])
+        traffic = self._traffic
+        if not self._shown:  # the file opens at its first row, the first step ends later
+            self._shown = True
+            if len(self._rows[0]) > 1:
+                ends, traffic = np.concatenate((self._rows[0][:1], ends)), [traffic[0], *traffic]
         times = np.rint(ends[:, self._time] * 1e3).astype(np.int64)
         self._motion.send(times, ends)
         if self._references:
             whens, strips = zip(*self._references, strict=True)
             columns = rr.LineStrips3D.columns(strips=np.array(strips))
             self._stream.send("/world/reference", np.array(whens), columns)
-        self._vehicles.send(times, self._traffic)
+        self._vehicles.send(times, traffic)
 
     def _describe(self, lane: str) -> None:
         """Colors of a lane of the state timeline; the lane appears with them."""

@@ -13,6 +13,10 @@ from emran_sumo.recording.stream import Stream
 from emran_sumo.world.records import StopLine
 
 LAMP_HEIGHT = 4.5  # m
+WORD_PERIOD, WORD_AWAY = (
+    80.0,
+    4.0,
+)  # m between the words about a stretch, of which one or two are in sight; from its edge
 PATCH_LEVEL = ASPHALT_LEVEL + 0.03  # m: on the asphalt, below the paint
 
 
@@ -67,7 +71,7 @@ def send_signals(stream: Stream, changes: list[tuple[int, str]]) -> None:
 
 
 class PatchSender:
-    """Draws the stretch as a tinted surface with a word at its begin, anew when it is on another lane."""
+    """Draws the stretch as a tinted surface with words beside it, anew when it is on another lane."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
@@ -77,19 +81,18 @@ class PatchSender:
         """Draw it from `time` [ms] on; None takes away what was drawn."""
         if patch is not None:
             if self._drawn is None:
-                word = rr.Points3D.from_fields(
-                    radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), labels=f"friction × {patch.friction:g}",
-                    show_labels=True,
-                )  # fmt: skip
+                word = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), show_labels=True)
                 self._stream.static("/world/road/patch/label", word)
                 surface = rr.Mesh3D.from_fields(albedo_factor=int(packed([SLIPPERY])[0]))
                 self._stream.static("/world/road/patch", surface)
             left, right = offset(patch.line, 0.5 * patch.width), offset(patch.line, -0.5 * patch.width)
             flat = np.concatenate((left, right))
             vertices, triangles = np.column_stack((flat, np.full(len(flat), PATCH_LEVEL))), ribbon(len(left))
-            place = np.array([(*patch.line[0], 0.1)])
+            places = _beside(patch)
+            words = [f"friction × {patch.friction:g}"] * len(places)
         elif self._drawn is not None:
-            vertices, triangles, place = (np.zeros((0, 3)) for _ in range(3))
+            vertices, triangles, places = (np.zeros((0, 3)) for _ in range(3))
+            words = []
         else:
             return
         self._drawn = patch
@@ -99,8 +102,16 @@ class PatchSender:
             *rr.Mesh3D.columns(triangle_indices=triangles.astype(np.uint32)).partition([len(triangles)]),
         )
         self._stream.send("/world/road/patch", np.array([time]), surface)
-        mark = rr.Points3D.columns(positions=place).partition([len(place)])
+        mark = rr.Points3D.columns(positions=places, labels=words).partition([len(places)])
         self._stream.send("/world/road/patch/label", np.array([time]), mark)
+
+
+def _beside(patch: Patch) -> np.ndarray:
+    """(n, 3) places for a word, at the right of the stretch: at its begin and every WORD_PERIOD after."""
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(patch.line, axis=0).T))))
+    chosen = np.searchsorted(along, np.arange(0.0, along[-1], WORD_PERIOD))
+    at = offset(patch.line, -0.5 * patch.width - WORD_AWAY)[chosen]
+    return np.column_stack((at, np.full(len(at), 0.1)))
 
 
 def _raised(ends: np.ndarray) -> np.ndarray:

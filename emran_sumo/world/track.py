@@ -42,6 +42,11 @@ class TrackParams(NamedTuple):
     grade_positions: tuple[float, ...] = ()
     grade_values: tuple[float, ...] = ()
 
+    @property
+    def maneuver(self) -> str:
+        """What a car does that follows the road."""
+        return "double lane change" if self.shape == "double_lane_change" else "keep lane"
+
 
 def speed_reference(track: TrackParams, time: np.ndarray) -> np.ndarray:
     """Speed to drive [m/s] at times (n,) [s]."""
