@@ -28,7 +28,6 @@ from emran_sumo.world.records import Road, Traffic
 CHUNK = 8000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
 LIVE_CHUNK = 1000  # ms, where somebody watches
 LONG, LONG_CHUNK = 120_000, 24_000  # ms: after LONG; Rerun keeps 4 kB of each chunk until the file ends
-EVENT_GRID = 100  # ms
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
@@ -148,13 +147,10 @@ class Recorder:
         self._chunk = now // period
 
     def event(self, time: float, level: str, text: str) -> None:
-        """Add a line to the list of events; level is DEBUG, INFO, WARN or ERROR.
-
-        It stands at the tenth of a second that follows `time` [s]: the viewer cuts off longer numbers.
-        """
+        """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
         if level not in EVENT_COLORS:
             raise ValueError(f"event level {level!r} is none of {', '.join(EVENT_COLORS)}")
-        self._events.append((-(-round(time * 1e3) // EVENT_GRID) * EVENT_GRID, level, text))
+        self._events.append((round(time * 1e3), level, text))
 
     def state(self, time: float, name: str, value: str) -> None:
         """Set the lane `name` of the state timeline to `value` from `time` [s] on; repeats are dropped."""
