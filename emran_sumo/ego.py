@@ -15,6 +15,7 @@ from emran_sumo.path import Path, first_near, interpolate, nearest, path_length,
 from emran_sumo.plant.disturbance import drawn
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
+from emran_sumo.reference import SpeedReference
 from emran_sumo.scenario import Scenario
 from emran_sumo.world.lanes import speed_cap, way_in
 from emran_sumo.world.records import Intent, Others, Pose, TakeOver, Traffic
@@ -41,13 +42,6 @@ NEAR_MISS = 1.0  # s time to collision
 LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
-CURVE_BRAKING = 4.5  # m/s2: harder no bend is braked for, even where it shows late
-SETTING_OFF, SETTING_OFF_ACCEL = 3.0, 0.5  # m/s, m/s2
-LEAD_MOST = 0.5  # m/s
-BEHIND_MOST = 0.5  # m/s
-# m/s3 that the reference may have when it brakes and when it speeds up: SUMO's wish jumps with every new leader
-HARDER, SOFTER = 20.0, 10.0
-HARD_BRAKING = 3.5  # m/s2
 TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 
@@ -117,11 +111,11 @@ class Ego:
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
         self._near_miss = False
-        self._speed_reference = float(pose.speed)
         self._accel = 0.0
-        self._reference_accel = float(pose.accel)
         self._mirrored = Pose(pose.x, pose.y, pose.yaw, float(pose.speed), 0.0)
         rates = scenario.rates
+        most = scenario.longitudinal.decel_max
+        self._reference = SpeedReference(float(pose.speed), float(pose.accel), rates.sumo_step, most)
         self._periods = round(rates.sumo_step / rates.control_step)
         self._shares = np.arange(self._periods + 1) / self._periods
         self._disturbance = drawn(scenario.disturbance, scenario.seed)
@@ -189,7 +183,6 @@ class Ego:
             self.vehicle, self.control, self._disturbance, s.road.friction, s.clock(self.tick), references,
             self.state, self.networks.speed, self.networks.steering, rows,
         )  # fmt: skip
-        self._speed_reference = float(references.speeds[-1])
         self._accel = (self.state.vehicle.speed_long - before) / rates.sumo_step
         self.tick += count
         car = self.state.vehicle
@@ -202,51 +195,12 @@ class Ego:
         """The profile within the step, where the world knows it, or a straight line to the wished speed."""
         speeds, accels = wanted.speeds, wanted.accels
         if speeds is None or accels is None:
-            step = self.scenario.rates.sumo_step
-            before = self._speed_reference
-            # SUMO wishes from the present speed on: neither may a reference below it take hard braking for done, nor
-            # may one above it take its own catching up for SUMO's wish
-            change = wanted.speed - self.speed
-            most = before + (change if change < -HARD_BRAKING * step else max(change, 0.0))
-            end = min(
-                wanted.speed + self._lead(wanted.speed, step),
-                most,
-                max(self._curve_speed(), before - CURVE_BRAKING * step),
-                before + self._eased(wanted.top - before, step),
-            )
-            end = max(end, before - self.scenario.longitudinal.decel_max * step)
-            end = max(self._softened(end, step), self.speed + change - BEHIND_MOST, 0.0)
-            rise = end - self._speed_reference
-            self._reference_accel = rise / step
-            speeds = self._speed_reference + rise * self._shares
-            accels = np.full(self._periods, rise / self.scenario.rates.sumo_step)
+            before = self._reference.speed
+            rise = self._reference.toward(wanted.speed, self.speed, wanted.top, self._curve_speed())
+            speeds = before + rise * self._shares
+            accels = np.full(self._periods, self._reference.accel)
         noise = self._noise.standard_normal((self._periods, CHANNELS))
         return References(self.path, self.driven, speeds, accels, noise, self.offset)
-
-    def _softened(self, end: float, step: float) -> float:
-        """The wished speed at the end of the step [m/s] within the jerk of a calm driver; hard braking is at once."""
-        before, accel = self._speed_reference, max(self._reference_accel, -HARD_BRAKING)
-        if end > before - HARD_BRAKING * step:
-            end = max(end, before + (accel - HARDER * step) * step)
-        return min(end, before + (accel + SOFTER * step) * step)
-
-    def _eased(self, left: float, step: float) -> float:
-        """Rise of the reference in a step [m/s] from which it comes to a speed `left` above it without a swing.
-
-        With the acceleration a: a step + (a - SOFTER step) step + ... = left; SUMO speeds up to the last moment.
-        """
-        if left <= 0.0:
-            return math.inf
-        return SOFTER * (math.sqrt(0.25 * step * step + 2.0 * left / SOFTER) - 0.5 * step) * step
-
-    def _lead(self, wish: float, step: float) -> float:
-        """How far the reference keeps ahead of a car that sets off [m/s].
-
-        The wish is counted from the present speed: a reference that starts there anew each step would wait for the car.
-        """
-        if self.speed > SETTING_OFF or wish < self.speed + SETTING_OFF_ACCEL * step:
-            return 0.0
-        return min(max(self._speed_reference - self.speed, 0.0), LEAD_MOST)
 
     def _curve_speed(self) -> float:
         """Speed that the bends ahead allow at the end of this step [m/s]; SUMO does not know of bends."""

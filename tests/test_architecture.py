@@ -10,7 +10,7 @@ FLOORS = (
     "__init__ kernels units errors locate shipped controllers print_style",
     "plant path",
     "control",
-    "loop conditioning frames",
+    "loop conditioning frames reference",
     "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found "
     "faults observation own_controller",
     "user_code ego takeover planner selection opening warm manifest stop results drive bench report tuning search "
