@@ -6,6 +6,8 @@ from emran_sumo.errors import UserError, nearest_name
 
 RECORDINGS = ("run.rrd", "compare.rrd")
 TRACE = "trace.parquet"
+# what lies in a folder without a trace, and why
+ALONE = {"run.rrd": "its run goes on or was killed", "compare.rrd": "a comparison, whose runs lie beside it"}
 _DEPTH = 3  # folders below the given one in which runs are looked for: runs/<scenario>/<run>
 _LISTED = 5
 
@@ -39,7 +41,8 @@ def _newest(given: Path, names: tuple[str, ...], accepted: str) -> Path:
         files = [file for name in names for file in given.glob("*/" * depth + name)]
         if files:
             return max(files, key=lambda file: file.stat().st_mtime)
-    raise UserError(f'RUN: found "{given}"; there is no {" or ".join(names)} in it; accepted is {accepted}.')
+    alone = next((f"; {name} is: {why}" for name, why in ALONE.items() if (given / name).exists()), "")
+    raise UserError(f'RUN: found "{given}"; there is no {" or ".join(names)} in it{alone}; accepted is {accepted}.')
 
 
 def _near(given: Path, names: tuple[str, ...]) -> str:

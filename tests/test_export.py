@@ -3,6 +3,8 @@
 import contextlib
 import csv
 import os
+import re
+import shutil
 import socket
 import struct
 import subprocess
@@ -14,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from rerun.chunk import RrdReader
 from test_recording import QUIET, RERUN, drive, ego_trace, open_recorder, rerun, rows_of, static_text, traffic_at
 
 from emran_sumo import drive as driving
@@ -173,6 +176,31 @@ def heard_rows(file) -> int:
     return 0
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet", "png", "mp4"])
+def test_a_run_whose_files_are_broken_is_named_and_nothing_is_written(run, kind, tmp_path):
+    broken = tmp_path / "broken"
+    shutil.copytree(run, broken)
+    name = "run.rrd" if kind == "mp4" else "trace.parquet"
+    (broken / name).write_bytes((broken / name).read_bytes()[:30_000])
+    with pytest.raises(UserError, match=rf"{name}: cannot be read: .*; accepted is the folder of a finished run\."):
+        export(broken, kind, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_a_recording_alone_is_told_why(run, tmp_path):
+    shutil.copy(run / "run.rrd", tmp_path)
+    with pytest.raises(UserError, match=r"no trace\.parquet in it; run\.rrd is: its run goes on or was killed;"):
+        found.trace(tmp_path)
+
+
+def blueprint_views(file: Path) -> int:
+    """Views of the layouts in a file; what was cut off at its end does not count."""
+    with warnings.catch_warnings(action="ignore"):
+        reader = RrdReader(str(file))
+        chunks = [c for entry in reader.blueprints() for c in reader.stream(store=entry)]
+    return len({c.entity_path for c in chunks if re.fullmatch(r"/view/[^/]+", c.entity_path)})
+
+
 def test_a_live_run_is_told_while_it_goes_on_and_its_file_survives_the_end_of_the_viewer(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -196,6 +224,7 @@ def test_a_live_run_is_told_while_it_goes_on_and_its_file_survives_the_end_of_th
         listener.kill()
         listener.wait()
     assert rerun("verify", file) == 0
+    assert blueprint_views(heard) == blueprint_views(file) > 20, "the views that the viewer and the file were told of"
     times, _ = rows_of(file, "/world/ego", "Transform3D:translation")
     np.testing.assert_array_equal(times, np.r_[10, 50:60001:50] * 1_000_000)
     assert static_text(file)[-1] == "done"

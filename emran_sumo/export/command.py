@@ -4,8 +4,10 @@ import contextlib
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from emran_sumo import found
 from emran_sumo.ego import UNITS
@@ -14,6 +16,7 @@ from emran_sumo.recording.table import read_trace, write_csv
 from emran_sumo.report import verdict
 from emran_sumo.warm import Progress
 
+Content = TypeVar("Content")
 FORMATS = ("csv", "parquet", "png", "mp4")
 NAMES = {"csv": "trace.csv", "png": "figures.png", "mp4": "video.mp4"}
 
@@ -33,6 +36,7 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     if kind not in FORMATS:
         raise UserError(f'--format: found "{kind}"; accepted is {", ".join(FORMATS[:-1])} or {FORMATS[-1]}.')
     trace = found.trace(run)
+    columns = _read(trace, read_trace)
     if kind == "parquet" and out is None:
         return trace
     file = out or trace.with_name(NAMES[kind])
@@ -41,7 +45,6 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     if kind == "parquet":
         return _complete(file, lambda part: shutil.copyfile(trace, part))
     summary = _summary(trace.with_name("summary.json"))
-    columns = read_trace(trace)
     if not columns["time"].size:
         raise UserError(f"{trace}: the run ended before its first step; there is nothing to draw.")
     if kind == "png":
@@ -52,12 +55,21 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     from emran_sumo.export.video import draw_video
     from emran_sumo.recording.playback import read_scene
 
-    encoder = find_encoder()
     recording = trace.with_name("run.rrd")
     if not recording.is_file():
         raise UserError(f"{recording}: not there; a video needs the recording of the run, made without --no-record.")
-    scene = read_scene(recording)
+    scene = _read(recording, read_scene)
+    encoder = find_encoder()
     return _complete(file, lambda part: draw_video(part, encoder, columns, scene, summary, progress))
+
+
+def _read(file: Path, read: Callable[[Path], Content]) -> Content:
+    try:
+        with warnings.catch_warnings(action="ignore"):  # a killed run's recording has no end, which Rerun tells
+            return read(file)
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise UserError(f"{file}: cannot be read: {reason}; accepted is the folder of a finished run.") from None
 
 
 def _summary(file: Path) -> dict:
