@@ -8,6 +8,7 @@ from emran_sumo.world.sumo import SumoWorld
 FAR_ENOUGH = 500.0  # m of route that an ego chosen by us should have
 PATIENCE = 60.0  # s after which a shorter one will do
 SHORT = 100.0  # m
+LONGEST = 8.0  # m of a vehicle that is chosen by us: the plant is one rigid body
 
 
 class Selection:
@@ -43,7 +44,7 @@ class Selection:
         self._groups.add(group)
         if self._egos.type:
             return kind == self._egos.type
-        if group != "passenger":
+        if group != "passenger" or world.size(name)[0] > LONGEST:
             return False
         if self._egos.penetration > 0.0:
             return _share(self._seed, name) < self._egos.penetration

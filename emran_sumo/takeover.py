@@ -9,7 +9,7 @@ from emran_sumo.opening import World
 from emran_sumo.planner import DoubleLaneChanger, LaneFollower, planner_for
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.scenario import Located
-from emran_sumo.selection import Selection
+from emran_sumo.selection import LONGEST, Selection
 from emran_sumo.user_code import Maker
 from emran_sumo.warm import Progress
 from emran_sumo.world.session import one_line
@@ -84,6 +84,9 @@ class Takeovers:
             selection.waiting.pop(name, None)
             if selection.chooses(world, name):
                 length, width, _ = world.size(name)
+                if length > LONGEST:
+                    told = f"{name} is {length:g} m long and driven as one rigid body, which needs wide bends"
+                    world.notes = (*world.notes, told)
                 found[name] = self._take(name, fitted(vehicle, length, width), count + len(found))
         return found
 

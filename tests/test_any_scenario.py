@@ -286,7 +286,9 @@ def test_without_cars_the_end_is_a_sentence_that_names_what_came(tmp_path):
 
 def test_a_bus_is_driven_when_it_is_named_with_its_own_size(tmp_path):
     bus = vehicle("bus", "c3.d3 d3.east3", 20, kind="long")
-    assert run(written(tmp_path / "user", [bus]), 10.0, "bus").ended == "finished"
+    result = run(written(tmp_path / "user", [bus]), 10.0, "bus")
+    assert result.ended == "finished"
+    assert "bus is 12 m long and driven as one rigid body, which needs wide bends" in summary(result)["notes"]
 
 
 def game() -> list[Path]:

@@ -20,6 +20,9 @@ class Cars:
     def kind(self, name: str) -> tuple[str, str]:
         return self._kinds[name][:2]
 
+    def size(self, name: str) -> tuple[float, float, float]:
+        return (16.0 if "long" in self._kinds[name][0] else 5.0), 1.8, 1.5
+
     def route_length(self, name: str) -> float:
         return self._kinds[name][2]
 
@@ -71,6 +74,13 @@ def test_a_share_is_drawn_by_the_seed_and_nothing_else(share):
 
 def test_of_a_share_only_cars_are_taken():
     assert chosen(CARS, NAMES, penetration=1.0) == ["near", "far", "late"]
+
+
+def test_what_is_too_long_for_one_rigid_body_is_taken_only_when_it_is_named():
+    world = Cars(trailer=("long car", "passenger", 900.0), car=("car", "passenger", 900.0))
+    assert chosen(world, ["trailer", "car"], penetration=1.0) == ["car"]
+    assert chosen(world, ["trailer", "car"]) == ["car"]
+    assert chosen(world, ["trailer", "car"], ids=("trailer",)) == ["trailer"]
 
 
 def test_the_run_may_end_only_when_all_named_have_come():
