@@ -36,7 +36,7 @@ def test_the_merged_file_is_whole_and_of_an_application_of_its_own(done):
     assert done.file.parent.name == "compare-seed1"
     assert rerun("verify", done.file) == 0
     (entry,) = RrdReader(str(done.file)).recordings()
-    assert entry.application_id == "emran_sumo_compare"
+    assert entry.application_id.startswith("emran_sumo highway_dlc-compare-seed1")
     assert not list(done.file.parent.glob("*.part"))
 
 

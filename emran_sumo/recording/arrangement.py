@@ -21,11 +21,8 @@ class Arrangement:
     """The layout of one recording, which goes to all of the `streams` of Rerun's."""
 
     def __init__(self, streams: Sequence[rr.RecordingStream], application: str) -> None:
-        self._streams = streams
-        self._blueprint = rr.RecordingStream._from_native(
-            bindings.new_blueprint(application, make_default=False, make_thread_default=False)
-        )
-        self._blueprint.set_log_time_enabled(False)
+        # one for each: what is sent is gone from it
+        self._parts = [(stream, _blank(application)) for stream in streams]
         self._sent: dict[tuple[str, bool], list[bytes]] = {}
         self._times = 0
 
@@ -34,16 +31,26 @@ class Arrangement:
         _number(layout)
         gathered = _Gathered()
         layout._log_to_stream(gathered)  # pyright: ignore[reportArgumentType]
-        self._blueprint.set_time(_TIMELINE, sequence=self._times)
-        memory = self._blueprint.memory_recording()
-        for (path, static), parts in gathered.parts.items():
+        new = {}
+        for place, parts in gathered.parts.items():
             content = [_content(part) for part in parts]
-            if self._sent.get((path, static)) != content:
-                self._sent[path, static] = content
-                self._blueprint.log(path, *parts, static=static)
-        self._times += 1
-        for stream in self._streams:
+            if self._sent.get(place) != content:
+                self._sent[place] = content
+                new[place] = parts
+        for stream, blueprint in self._parts:
+            blueprint.set_time(_TIMELINE, sequence=self._times)
+            memory = blueprint.memory_recording()
+            for (path, static), parts in new.items():
+                blueprint.log(path, *parts, static=static)
             bindings.send_blueprint(memory.storage, True, True, recording=stream.to_native())
+        self._times += 1
+
+
+def _blank(application: str) -> rr.RecordingStream:
+    native = bindings.new_blueprint(application, make_default=False, make_thread_default=False)
+    blueprint = rr.RecordingStream._from_native(native)
+    blueprint.set_log_time_enabled(False)
+    return blueprint
 
 
 class _Gathered:

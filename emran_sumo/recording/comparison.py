@@ -18,7 +18,6 @@ from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH, STATES, Curve
 from emran_sumo.recording.recorder import CHUNK, PLOT_PERIOD
 from emran_sumo.recording.stream import Values, turns
 
-APPLICATION = "emran_sumo_compare"
 MOST = len(COMPARED)
 STEP = 50  # ms between the drawings of the egos
 # What the first run's file gives to the scene; its car and its plots are drawn anew.
@@ -54,12 +53,13 @@ def write_comparison(
     shown = tuple(Shown(run.label, f"{i}_{run.label}", COMPARED[i - 1]) for i, run in enumerate(runs, 1))
     end = max(float(run.trace["time"][-1]) for run in runs)
     layout = comparison_layout(shown, _bounds(runs[0].recording), end, _reached(runs))
+    application = f"emran_sumo {recording}"  # the viewer keeps one layout for each
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
-    stream = rr.RecordingStream(APPLICATION, recording_id=recording, send_properties=False)
+    stream = rr.RecordingStream(application, recording_id=recording, send_properties=False)
     try:
         stream.save(str(part))
         stream.set_log_time_enabled(False)
-        Arrangement((stream,), APPLICATION).send(layout)
+        Arrangement((stream,), application).send(layout)
         stream.send_recording_name(name)
         stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.send_chunks(RrdReader(str(runs[0].recording)).stream().filter(content=TAKEN))

@@ -40,8 +40,8 @@ class Recorder:
 
     Args:
         file: path of the .rrd file; its folder is created.
-        application: one id per kind of layout; the viewer keeps layouts by it.
-        recording: id of the run; files with the same id fuse in the viewer.
+        recording: id of the run; files with the same id fuse in the viewer. The viewer keeps one layout per
+            application, and headings and axes tell the ranges of this run: each run is an application of its own.
         name: sentence shown as the name of the recording.
         road: drawn once.
         ego: outline of the ego.
@@ -57,7 +57,6 @@ class Recorder:
         self,
         file: Path | str,
         *,
-        application: str = "emran_sumo",
         recording: str,
         name: str,
         road: Road,
@@ -88,7 +87,7 @@ class Recorder:
 
         shapes = road_shapes(road)
         self._bounds = shapes.bounds
-        self._stream = Stream(file, application, recording, live)
+        self._stream = Stream(file, f"emran_sumo {recording}", recording, live)
         self._stream.arrangement.send(layout(self._bounds, self._extents))
         self._stream.name(name)
         self._stream.static("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
