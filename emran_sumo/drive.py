@@ -281,9 +281,9 @@ class Host:
                 f"the controller lost the car {after}: cross-track error {row[AT.cross_track_error]:.2f} m, "
                 f"heading error {math.degrees(row[AT.heading_error]):.0f} deg{ego.too_tight()}",
             )
-        if ego.collided:
-            return Outcome("collision", f"collided with {', '.join(sorted(ego.collided))} {after}")
         where = f"{after} at ({car.x:.1f}, {car.y:.1f}) m"
+        if ego.collided:
+            return Outcome("collision", f"collided {where} with {'; '.join(ego.collided.values())}")
         if isinstance(self.world, SumoWorld) and not self.world.knows(ego.name):
             return Outcome("lost", f"SUMO removed the ego {where}")
         if not lane and self._off_road[ego.name] * self.world.step > OFF_ROAD_MOST:
@@ -310,7 +310,8 @@ def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Sign
     control, row = ego.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     if before is None:
-        recorder.event(0.0, "INFO", f"ego taken over at {ego.frames.last[0][AT.speed_long]:.1f} m/s")
+        first = ego.frames.last[0]
+        recorder.event(first[AT.time], "INFO", f"{ego.name} taken over at {first[AT.speed_long]:.1f} m/s")
     recorder.state(ego.time, "maneuver", ego.maneuver)
     recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:

@@ -107,10 +107,10 @@ class Ego:
         self.events: list[Event] = []
         self.told = 0  # events already recorded
         self.frames = Frames(len(COLUMNS))
-        self.collided: set[str] = set()
+        self.collided: dict[str, str] = {}  # with whom, and how
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
-        self._near_miss = False
+        self._near_miss = self._conflict = False
         self._accel = 0.0
         self._mirrored = Pose(pose.x, pose.y, pose.yaw, float(pose.speed), 0.0)
         rates = scenario.rates
@@ -284,12 +284,15 @@ class Ego:
         return -(x - point.x) * math.sin(point.yaw) + (y - point.y) * math.cos(point.yaw)
 
     def _note_near_miss(self) -> None:
-        near = self.lead.time_to_collision < NEAR_MISS
+        lead = self.lead
+        told = f"{lead.time_to_collision:.1f} s to a collision, gap {lead.gap:.1f} m"
+        conflict = lead.time_to_collision < metrics.CONFLICT_TTC or lead.deceleration_to_avoid > metrics.CONFLICT_DRAC
+        near = lead.time_to_collision < NEAR_MISS
         if near and not self._near_miss:
-            self.say(
-                "WARN", f"near miss: {self.lead.time_to_collision:.1f} s to a collision, gap {self.lead.gap:.1f} m"
-            )
-        self._near_miss = near
+            self.say("WARN", f"near miss: {told}")
+        elif conflict and not self._conflict:
+            self.say("WARN", f"conflict: {told}, {lead.deceleration_to_avoid:.1f} m/s² avoid it")
+        self._near_miss, self._conflict = near, conflict
 
     def _note_encounter(self, own: metrics.Box, traffic: Traffic) -> None:
         before, found = self.encounters.least, self.encounters.look(self.time, own, traffic)
@@ -306,12 +309,9 @@ class Ego:
         for k in near:
             name, other = traffic.ids[k], body(traffic, int(k))
             if metrics.boxes_overlap(own, other) and name not in self.collided:
-                self.collided.add(name)
-                self.say(
-                    "ERROR",
-                    f"collision with {name} at {car.speed_long:.1f} m/s, the other at {traffic.speed[k]:.1f} m/s, "
-                    f"{metrics.struck_where(own, other)}",
-                )
+                speeds = f"at {car.speed_long:.1f} m/s, the other at {traffic.speed[k]:.1f} m/s"
+                self.collided[name] = f"{name} {speeds}, {metrics.struck_where(own, other)}"
+                self.say("ERROR", f"collision with {self.collided[name]}")
 
     def enter(self, name: str, text: str, level: str = "INFO") -> None:
         """Begin a phase of a maneuver."""

@@ -1,7 +1,12 @@
 """A run in words: the same rows for the terminal and for the recording."""
 
 import math
+import re
+from collections import Counter
 from typing import Any, NamedTuple
+
+UNHARMED = ("finished", "arrived", "interrupted")
+FOLDER = re.compile(r" --out[ =]('[^']*'|\S+)")  # in a command: where the files go makes no other run
 
 
 class Row(NamedTuple):
@@ -65,7 +70,17 @@ def verdict(summary: dict[str, Any]) -> str:
     s = summary["manifest"]["scenario"]
     name = summary["manifest"]["scenario_name"]
     where = surroundings(s["world"], s["traffic"]["density"])
-    return f"{name}, {s['controller']}, seed {s['seed']}, {where}: {summary['ended']}, {summary['reason']}."
+    of = f", ego {summary['ego']} of {len(summary['egos'])}" if "egos" in summary else ""
+    return f"{name}, {s['controller']}, seed {s['seed']}, {where}{of}: {summary['ended']}, {summary['reason']}."
+
+
+def ends(summary: dict[str, Any]) -> tuple[str, list[str]]:
+    """How several egos ended: in numbers, and a sentence for each that came to harm; empty for a single one."""
+    egos = summary.get("egos", {})
+    counts = Counter(ego["ended"] for ego in egos.values())
+    numbers = ", ".join(f"{count} {ended}" for ended, count in counts.most_common())
+    harmed = [f"{name}: {ego['reason']}" for name, ego in egos.items() if ego["ended"] not in UNHARMED]
+    return f"{len(egos)} egos: {numbers}" if egos else "", harmed
 
 
 def surroundings(world: str, density: float) -> str:
@@ -97,11 +112,17 @@ def summary_markdown(summary: dict[str, Any]) -> str:
     parts = [
         f"**{title}.** {verdict(summary)}" if title else f"**{verdict(summary)}**",
         f"| {head} |\n| {line} |\n| {body} |",
-        f"Repeat: `{summary['manifest']['command']}`",
+        *_told_ends(summary),
+        f"Repeat: `{FOLDER.sub('', summary['manifest']['command'])}`",
         _all_metrics(summary),
         _origin(summary["manifest"]),
     ]
     return "\n\n".join(parts)
+
+
+def _told_ends(summary: dict[str, Any]) -> list[str]:
+    numbers, harmed = ends(summary)
+    return [f"{numbers}{'. ' if harmed else ''}{'; '.join(harmed)}"] if numbers else []
 
 
 def _all_metrics(summary: dict[str, Any]) -> str:

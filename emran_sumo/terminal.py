@@ -26,6 +26,7 @@ _WORDS = {
     "draw": "drawing",
 }
 _REFRESH = 0.1  # s
+HARMED_SHOWN = 10  # egos that came to harm
 
 
 class Display:
@@ -155,7 +156,7 @@ def show(result: "RunResult", recorded: bool) -> None:
     """Print how a run ended, its table, and where its files lie."""
     import json
 
-    from emran_sumo.report import rows, verdict
+    from emran_sumo.report import ends, rows, verdict
 
     console = Console()
     summary = json.loads((result.folder / "summary.json").read_text(encoding="utf-8"))
@@ -171,6 +172,13 @@ def show(result: "RunResult", recorded: bool) -> None:
         table.add_row(row.group if row.group != group else "", row.name, row.value, row.most)
         group = row.group
     console.print(table)
+    numbers, harmed = ends(summary)
+    if numbers:
+        console.print(f"\n{numbers}; the table is of {summary['ego']}", highlight=False, soft_wrap=True)
+    for line in harmed[:HARMED_SHOWN]:
+        console.print(escape(line), style="red", highlight=False, soft_wrap=True)
+    if len(harmed) > HARMED_SHOWN:
+        console.print(f"and {len(harmed) - HARMED_SHOWN} more in summary.json", style="red", highlight=False)
     files = [name for name in ("run.rrd", "trace.parquet", "summary.json") if (result.folder / name).exists()]
     console.print(f"\n{_shown(result.folder)}/  {'  '.join(files)}", highlight=False, soft_wrap=True)
     if recorded:

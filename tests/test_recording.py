@@ -491,10 +491,10 @@ def test_the_inside_of_a_network_is_recorded_as_it_was(recorded):
 def test_a_disturbance_that_comes_and_goes_is_an_event_and_a_state(recorded):
     times, texts = rows_of(recorded, "/events", "TextLog:text")
     found = {text: t / 1e9 for t, (text,) in zip(times, texts, strict=True)}
-    assert found["friction falls to 0.50"] == pytest.approx(7.1)
-    assert found["friction rises to 0.90"] == pytest.approx(9.1)
-    assert found["side force begins, to the right"] == pytest.approx(10.1)
-    assert found["side force over, 2.5 kN at the most"] == pytest.approx(12.1)
+    assert found["friction falls to 0.50"] == pytest.approx(7.01)
+    assert found["friction rises to 0.90"] == pytest.approx(9.01)
+    assert found["side force begins, to the right"] == pytest.approx(10.01)
+    assert found["side force over, 2.5 kN at the most"] == pytest.approx(12.01)
     assert (np.diff(times) >= 0).all()
     times, states = rows_of(recorded, "/state/disturbance", "StateChange:state")
     assert np.round(times / 1e9, 2).tolist() == [7.01, 9.01, 10.01, 12.01]
@@ -850,6 +850,8 @@ def test_a_run_records_its_lights_its_networks_and_everything_it_measured(tmp_pa
     assert text.startswith(f"**{told['scenario']['title']}.** {report.verdict(summary)}")
     assert "traffic of its files: finished" in text
     assert "`emran-sumo run urban_signals --duration 12`" in text
+    assert "`emran-sumo run urban_signals --duration 12 --out" not in text, "where it lies makes no other run"
+    assert rows_of(file, "/events", "TextLog:text")[0][0] == 10_000_000, "nothing stands before the first instant"
     assert f"digest {told['digest']}" in text
 
     # 28 links of two signals with 4 approaches each; static programs change at whole seconds of SUMO's clock
