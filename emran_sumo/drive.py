@@ -28,6 +28,7 @@ from emran_sumo.stop import Stop, stoppable
 from emran_sumo.takeover import Driven, Takeovers
 from emran_sumo.user_code import maker as maker_of
 from emran_sumo.warm import Progress, warm_kernels
+from emran_sumo.world import waiting
 from emran_sumo.world.native import Native, watch
 from emran_sumo.world.records import NOBODY
 from emran_sumo.world.signals import Signals, stop_lines
@@ -36,6 +37,7 @@ from emran_sumo.world.track import TrackWorld
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
+STANDS = 0.2  # m/s
 OFF_ROUTE_MOST = 0.5  # s after which SUMO may find it beside its route
 OFF_ROAD_MOST = 1.0  # s that the ego may be where SUMO finds no lane
 
@@ -262,7 +264,7 @@ class Host:
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
             self.recorder.write(ego.frames.last, traffic, ego.reference_ahead(), self.active)
-            _tell(self.recorder, ego, before, self._signals)
+            _tell(self.recorder, ego, before, self._signals, isinstance(world, SumoWorld))
         if outcome is not None:
             self.outcomes[name] = outcome
             del self.active[name]
@@ -306,13 +308,17 @@ class Host:
         return Outcome("lost", f"its lane ended before its route did {where}")
 
 
-def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None) -> None:
+def _tell(
+    recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None, in_traffic: bool
+) -> None:
     control, row = ego.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     if before is None:
         first = ego.frames.last[0]
         recorder.event(first[AT.time], "INFO", f"{ego.name} taken over at {first[AT.speed_long]:.1f} m/s")
-    recorder.state(ego.time, "maneuver", ego.maneuver)
+    stands = waiting.reason(ego.name) if ego.maneuver == "keep lane" and ego.speed < STANDS and in_traffic else ""
+    if recorder.state(ego.time, "maneuver", stands or ego.maneuver) and stands:
+        recorder.event(ego.time, "INFO", f"stands: {stands}")
     recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
     for event in ego.events[ego.told :]:
         recorder.event(*event)

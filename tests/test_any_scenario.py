@@ -9,6 +9,7 @@ import libsumo
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from test_recording import rows_of
 
 from emran_sumo import drive, locate, scenario
 from emran_sumo.drive import RunResult
@@ -16,6 +17,7 @@ from emran_sumo.ego import COLUMNS, Ego, fitted
 from emran_sumo.errors import UserError
 from emran_sumo.opening import opening
 from emran_sumo.plant.vehicle import VehicleParams
+from emran_sumo.world import waiting
 from emran_sumo.world.sumo import SumoWorld
 
 TYPES = """\
@@ -54,12 +56,12 @@ def written(folder: Path, vehicles: list[str], options: str = "", additional: st
     return file
 
 
-def run(file: Path, duration: float, *ids: str, **given: Any) -> RunResult:
+def run(file: Path, duration: float, *ids: str, record: bool = False, **given: Any) -> RunResult:
     """Drive a configuration; `__` in a key stands for the dot."""
     values = {key.replace("__", "."): value for key, value in given.items()}
     values |= {"duration": duration} | ({"egos.ids": ids} if ids else {})
     located = scenario.load(str(file), {key: (value, "test") for key, value in values.items()})
-    return drive.run(located, file.parent.parent / "runs", record=False)
+    return drive.run(located, file.parent.parent / "runs", record=record)
 
 
 def summary(result: RunResult) -> dict[str, Any]:
@@ -127,6 +129,18 @@ def test_the_ego_stands_where_sumos_own_driver_stands(tmp_path, situation, lag):
     result = run(file, duration, "ego", vehicle__torque_lag=lag)
     assert result.ended != "collision", result.reason
     assert float(np.hypot(*(driven_way(result).stands() - own))) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("situation", "why"), [*zip(STOPS, ("at a red light", "at its stop", "gives way", "gives way"), strict=True)]
+)
+def test_the_recording_tells_why_the_ego_stands(tmp_path, situation, why):
+    vehicles, duration = STOPS[situation]
+    result = run(written(tmp_path / "user", vehicles), duration, "ego", record=True)
+    _, states = rows_of(result.folder / "run.rrd", "/state/maneuver", "StateChange:state")
+    assert why in {state for (state,) in states} <= {"keep lane", *waiting.REASONS}
+    _, texts = rows_of(result.folder / "run.rrd", "/events", "TextLog:text")
+    assert [f"stands: {why}"] in texts
 
 
 @pytest.mark.parametrize("lag", [0.1, 0.3])

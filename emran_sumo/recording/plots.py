@@ -179,6 +179,10 @@ STATES = {
         "double lane change": (21, 128, 61),
         "waiting for a gap": (180, 83, 9),
         "waiting to return": (161, 98, 7),
+        "at its stop": (17, 94, 89),
+        "in a queue": (120, 53, 15),
+        "at a red light": (153, 27, 27),
+        "gives way": (133, 77, 14),
     },
     "learning": {"off": (71, 85, 105), "learning": (91, 33, 182), "settled": (22, 101, 52)},
     "disturbance": {

@@ -151,12 +151,14 @@ class Recorder:
             raise ValueError(f"event level {level!r} is none of {', '.join(EVENT_COLORS)}")
         self._events.append((round(time * 1e3), level, text))
 
-    def state(self, time: float, name: str, value: str) -> None:
-        """Set the lane `name` of the state timeline to `value` from `time` [s] on; repeats are dropped."""
-        if self._last_state.get(name) != value:
-            self._last_state[name] = value
-            self._describe(name)
-            self._states.setdefault(name, []).append((round(time * 1e3), value))
+    def state(self, time: float, name: str, value: str) -> bool:
+        """Set the lane `name` of the state timeline to `value` from `time` [s] on; whether that is a change."""
+        if self._last_state.get(name) == value:
+            return False
+        self._last_state[name] = value
+        self._describe(name)
+        self._states.setdefault(name, []).append((round(time * 1e3), value))
+        return True
 
     def signals(self, time: float, states: str) -> None:
         """What the lights show from `time` [s] on: a letter of SUMO per stop line of the road that has a light."""
