@@ -129,6 +129,29 @@ def test_the_ego_stands_where_sumos_own_driver_stands(tmp_path, situation, lag):
     assert float(np.hypot(*(driven_way(result).stands() - own))) < 0.5
 
 
+PARKS = {
+    "on a verge": ('<stop lane="c3.d3_0" endPos="110" duration="5" parking="true"/>', ""),
+    "on a parking area": (
+        '<stop parkingArea="lot" duration="5"/>',
+        '<parkingArea id="lot" lane="c3.d3_0" startPos="70" endPos="110" roadsideCapacity="4"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("where", PARKS)
+def test_who_parks_on_the_way_stands_on_its_lane_and_goes_on(tmp_path, where):
+    stop, additional = PARKS[where]
+    file = written(tmp_path / "user", [ego("c3.d3 d3.east3", inside=stop)], additional=additional)
+    own = native_way(file, 100.0)
+    result = run(file, 100.0, "ego")
+    assert result.ended == "arrived", result.reason
+    way = driven_way(result)
+    assert way.time[-1] == pytest.approx(own.time[-1], rel=0.05)
+    assert 4.5 < np.sum(way.speed < 0.03) * float(np.median(np.diff(way.time))) < 6.5  # it waits the stop's 5 s
+    ahead = way.stands()[0] - own.stands()[0]  # along the lane; SUMO takes the first lot it can still stop at
+    assert -0.5 < ahead < (30.5 if additional else 0.5)
+
+
 @pytest.mark.parametrize("lag", [0.1, 0.3])
 def test_no_red_light_is_run(tmp_path, lag):
     """The street north has red for 30 s of every minute; its line is at y = 163.5 m, and SUMO stops 1 m before it."""

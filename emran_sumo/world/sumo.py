@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import libsumo
 
 from emran_sumo.path import Path
-from emran_sumo.world import braking, phantom, session, wishes
+from emran_sumo.world import braking, phantom, session, stops, wishes
 from emran_sumo.world.passages import Passages
 from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import Intent, Pose, Road, TakeOver, Traffic
@@ -156,6 +156,7 @@ class SumoWorld:
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
         vehicle.setImperfection(ego, 0.0)  # a human's dawdling is no reference: it is drawn anew each step
+        stops.keep_on_lane(ego)
         session.show(ego)
         self._sight.look_from(ego)
         lane = vehicle.getLaneID(ego)
@@ -363,8 +364,7 @@ class SumoWorld:
         route = vehicle.getRoute(ego)
         if vehicle.getRoadID(ego) != route[-1] or vehicle.getRouteIndex(ego) < len(route) - 1:
             return False
-        # a stop that is still to be made comes first
-        if vehicle.getStops(ego, 1):
+        if vehicle.getStops(ego, 1):  # a stop that is still to be made comes first
             return False
         end = libsumo.lane.getLength(vehicle.getLaneID(ego))
         room = max(ARRIVAL_ROOM * vehicle.getSpeed(ego) * self.step, 1.0)
