@@ -64,6 +64,17 @@ def test_a_name_with_a_space_stays_whole_and_back_slashes_separate_folders(tmp_p
     assert config.options["route-files"] == str(tmp_path / "sub" / "my cars.rou.xml")
 
 
+def test_a_variable_of_the_environment_stands_for_its_value(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROAD_FILES", str(tmp_path / "elsewhere"))
+    monkeypatch.delenv("NO_SUCH_FOLDER", raising=False)
+    inside = (
+        '<net-file value="${ROAD_FILES}/line.net.xml"/><route-files value="${ROAD_FILES}/a.xml,${NO_SUCH_FOLDER}/b"/>'
+    )
+    options = read_config(configured(tmp_path, inside)).options
+    assert options["net-file"] == str(tmp_path / "elsewhere" / "line.net.xml")
+    assert options["route-files"] == f"{tmp_path / 'elsewhere' / 'a.xml'},{tmp_path / '${NO_SUCH_FOLDER}' / 'b'}"
+
+
 def test_what_only_the_gui_knows_is_left_out_and_said(tmp_path):
     config = read_config(configured(tmp_path, '<osg-view value="true"/><gui-settings-file value="v.xml"/>'))
     assert not {"osg-view", "gui-settings-file"} & set(config.options)

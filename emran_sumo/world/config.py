@@ -1,6 +1,7 @@
 """A user's .sumocfg as options of our own: files found, GUI settings left out."""
 
 import math
+import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -67,7 +68,8 @@ class SumoConfig(NamedTuple):
 def read_config(file: Path) -> SumoConfig:
     """Read a SUMO configuration, with either root element.
 
-    Paths are made absolute; lists may be separated by commas or spaces; back-slashes are read as slashes.
+    Paths are made absolute; lists may be separated by commas or spaces; back-slashes are read as slashes; `${NAME}`
+    is what the environment has.
 
     Raises:
         UserError: the file is missing, no XML, no SUMO configuration, or names no network.
@@ -111,7 +113,9 @@ def _notes(values: dict[str, str]) -> list[str]:
 
 
 def _value(leaf: ET.Element) -> str | None:
-    return leaf.get("value", leaf.get("v"))
+    """The value of an option, with `${NAME}` as the environment has it; others stay, as they are SUMO's own."""
+    value = leaf.get("value", leaf.get("v"))
+    return value and re.sub(r"\$\{(\w+)\}", lambda found: os.environ.get(found[1], found[0]), value)
 
 
 def _files(value: str, folder: Path) -> str:
