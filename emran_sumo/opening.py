@@ -10,9 +10,10 @@ from emran_sumo import locate
 from emran_sumo.errors import UserError, nearest_name
 from emran_sumo.manifest import STARTING
 from emran_sumo.scenario import Located, Scenario
-from emran_sumo.world.config import read_config, redirected
+from emran_sumo.world.config import read_config
 from emran_sumo.world.demand import write_demand
 from emran_sumo.world.network import main_limit
+from emran_sumo.world.outputs import redirected
 from emran_sumo.world.routes import check_ego, departures
 from emran_sumo.world.session import scenario_options
 from emran_sumo.world.sumo import SumoWorld

@@ -143,6 +143,51 @@ def test_the_recording_tells_why_the_ego_stands(tmp_path, situation, why):
     assert [f"stands: {why}"] in texts
 
 
+PARKS = {
+    "on a verge": ('<stop lane="c3.d3_0" endPos="110" duration="5" parking="true"/>', ""),
+    "on a parking area": (
+        '<stop parkingArea="lot" duration="5"/>',
+        '<parkingArea id="lot" lane="c3.d3_0" startPos="70" endPos="110" roadsideCapacity="4"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("where", PARKS)
+def test_who_parks_on_the_way_stands_on_its_lane_and_goes_on(tmp_path, where):
+    stop, additional = PARKS[where]
+    file = written(tmp_path / "user", [ego("c3.d3 d3.east3", inside=stop)], additional=additional)
+    own = native_way(file, 100.0)
+    result = run(file, 100.0, "ego")
+    assert result.ended == "arrived", result.reason
+    way = driven_way(result)
+    assert way.time[-1] == pytest.approx(own.time[-1], rel=0.05)
+    assert 4.5 < np.sum(way.speed < 0.03) * float(np.median(np.diff(way.time))) < 6.5  # it waits the stop's 5 s
+    ahead = way.stands()[0] - own.stands()[0]  # along the lane; SUMO takes the first lot it can still stop at
+    assert -0.5 < ahead < (30.5 if additional else 0.5)
+
+
+@pytest.mark.parametrize("declared", ['arrivalPos="60"', 'arrivalPos="-50"', 'arrivalPos="60" arrivalSpeed="0"'])
+def test_the_ego_arrives_where_its_declaration_says(tmp_path, declared):
+    car = ego("c3.d3 d3.east3").replace("<vehicle ", f"<vehicle {declared} ")
+    file = written(tmp_path / "user", [car])
+    own = native_way(file, 100.0)
+    result = run(file, 100.0, "ego")
+    assert result.ended == "arrived", result.reason
+    way = driven_way(result)
+    assert abs(way.x[-1] - own.x[-1]) < 1.5
+    assert way.time[-1] == pytest.approx(own.time[-1], rel=0.05)
+
+
+def test_an_ego_that_sumo_takes_away_ends_the_run_with_a_sentence(tmp_path, monkeypatch):
+    """SUMO decides so within the step, in which an ego stands longer than it lets it."""
+    files = [ego("c3.d3 d3.east3").replace("<vehicle ", '<vehicle arrivalPos="60" arrivalSpeed="0" ')]
+    file = written(tmp_path / "user", files, '<processing><time-to-teleport value="10"/></processing>')
+    monkeypatch.setattr(SumoWorld, "arrived", lambda *_: False)
+    result = run(file, 100.0, "ego")
+    assert result.ended == "lost"
+    assert "SUMO removed the ego" in result.reason
+
+
 @pytest.mark.parametrize("lag", [0.1, 0.3])
 def test_no_red_light_is_run(tmp_path, lag):
     """The street north has red for 30 s of every minute; its line is at y = 163.5 m, and SUMO stops 1 m before it."""

@@ -3,12 +3,15 @@
 import gzip
 import math
 import shutil
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
+from emran_sumo import locate
 from emran_sumo.errors import UserError
-from emran_sumo.world.config import read_config, redirected, seconds
+from emran_sumo.world.config import read_config, seconds
+from emran_sumo.world.outputs import redirected
 from emran_sumo.world.session import start
 from emran_sumo.world.sumo import SumoWorld
 
@@ -59,6 +62,17 @@ def test_a_name_with_a_space_stays_whole_and_back_slashes_separate_folders(tmp_p
     inside = r'<net-file value="line.net.xml"/><route-files value="sub\my cars.rou.xml"/>'
     config = read_config(configured(tmp_path, inside))
     assert config.options["route-files"] == str(tmp_path / "sub" / "my cars.rou.xml")
+
+
+def test_a_variable_of_the_environment_stands_for_its_value(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROAD_FILES", str(tmp_path / "elsewhere"))
+    monkeypatch.delenv("NO_SUCH_FOLDER", raising=False)
+    inside = (
+        '<net-file value="${ROAD_FILES}/line.net.xml"/><route-files value="${ROAD_FILES}/a.xml,${NO_SUCH_FOLDER}/b"/>'
+    )
+    options = read_config(configured(tmp_path, inside)).options
+    assert options["net-file"] == str(tmp_path / "elsewhere" / "line.net.xml")
+    assert options["route-files"] == f"{tmp_path / 'elsewhere' / 'a.xml'},{tmp_path / '${NO_SUCH_FOLDER}' / 'b'}"
 
 
 def test_what_only_the_gui_knows_is_left_out_and_said(tmp_path):
@@ -143,6 +157,52 @@ def test_everything_that_sumo_writes_lands_in_the_folder_of_the_run(tmp_path, pa
     written = {path.name for path in run.iterdir()}
     assert {"fcd.xml", "trips.xml", "loop.out.xml", "edges.out.xml"} <= written
     assert any(name.startswith("state_") for name in written)
+
+
+SIGNAL = """\
+<additional>
+    <tlLogic id="{id}" type="actuated" programID="own">
+        <phase duration="20" minDur="5" maxDur="40" state="{green}"/>
+        <phase duration="20" minDur="5" maxDur="40" state="{red}"/>
+        <param key="file" value="detectors.out.xml"/><param key="freq" value="5"/>
+    </tlLogic>
+</additional>
+"""
+WATCHED = """\
+<routes>
+    <vType id="watched">
+        <param key="has.ssm.device" value="true"/><param key="device.ssm.file" value="ssm.out.xml"/>
+    </vType>
+    <vehicle id="one" type="watched" depart="0"><route edges="c3.d3 d3.east3"/></vehicle>
+</routes>
+"""
+
+
+def test_what_params_name_is_written_into_the_folder_of_the_run_too(tmp_path, monkeypatch):
+    user, run = tmp_path / "user", tmp_path / "run"
+    run.mkdir()
+    network = locate.folder("networks") / "urban" / "urban.net.xml"
+    file = configured(
+        user,
+        f'<net-file value="{network}"/><route-files value="cars.rou.xml"/><additional-files value="add.xml"/>',
+    )
+    (user / "cars.rou.xml").write_text(WATCHED, encoding="utf-8")
+    light = next(light for light in ET.parse(network).getroot().iter("tlLogic"))
+    states = len(next(light.iter("phase")).get("state", ""))
+    signal = SIGNAL.format(id=light.get("id"), green="G" * states, red="r" * states)
+    (user / "add.xml").write_text(signal, encoding="utf-8")
+    before = sorted(path.name for path in user.iterdir())
+    monkeypatch.chdir(user)
+    with SumoWorld(redirected(read_config(file), run), 0.1, 1) as world:
+        list(world.warm_up(20.0))
+    assert sorted(path.name for path in user.iterdir()) == before
+    assert {"detectors.out.xml", "ssm.out.xml"} <= {path.name for path in run.iterdir()}
+
+
+def test_a_param_that_names_a_file_to_read_is_left_as_it_is(tmp_path):
+    file = configured(tmp_path / "user", "")
+    (tmp_path / "user" / "cars.rou.xml").write_text(WATCHED.replace("ssm.file", "fcd-replay.file"), encoding="utf-8")
+    assert redirected(read_config(file), tmp_path)["route-files"] == str(tmp_path / "user" / "cars.rou.xml")
 
 
 def test_an_additional_file_that_writes_nothing_is_read_where_it_is(tmp_path):

@@ -1,7 +1,7 @@
-"""A user's .sumocfg as options of our own: files found, outputs kept in the run's folder, GUI settings left out."""
+"""A user's .sumocfg as options of our own: files found, GUI settings left out."""
 
-import gzip
 import math
+import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -15,8 +15,6 @@ INPUTS = {
     "fcd-output.filter-edges.input-file", "device.ssm.filter-edges.input-file", "astar.all-distances",
     "astar.landmark-distances", "pedestrian.jupedsim.wkt", "device.fcd-replay.files",
 }  # fmt: skip
-# options whose values are files to write, besides those that end in "output"
-OUTPUTS = {"netstate-dump", "person-fcd", "save-state.prefix", "save-state.files", "device.ssm.file", "device.toc.file"}
 # what only sumo-gui knows
 GUI_ONLY = {
     "gui-settings-file", "start", "quit-on-end", "delay", "breakpoints", "osg-view", "window-size", "window-pos",
@@ -54,11 +52,6 @@ SHORT = {
     "netstate": "netstate-dump", "netstate-output": "netstate-dump", "ballistic": "step-method.ballistic",
     "device.fcd-replay.file": "device.fcd-replay.files",
 }  # fmt: skip
-# elements of additional files that write to what their `file` or `dest` names; every other `file` is read
-WRITERS = {
-    "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector", "entryExitDetector", "e3Detector", "edgeData",
-    "instantInductionLoop", "laneData", "vTypeProbe", "routeProbe", "timedEvent", "edgedata", "lanedata",
-}  # fmt: skip
 
 
 class SumoConfig(NamedTuple):
@@ -75,7 +68,8 @@ class SumoConfig(NamedTuple):
 def read_config(file: Path) -> SumoConfig:
     """Read a SUMO configuration, with either root element.
 
-    Paths are made absolute; lists may be separated by commas or spaces; back-slashes are read as slashes.
+    Paths are made absolute; lists may be separated by commas or spaces; back-slashes are read as slashes; `${NAME}`
+    is what the environment has.
 
     Raises:
         UserError: the file is missing, no XML, no SUMO configuration, or names no network.
@@ -119,7 +113,9 @@ def _notes(values: dict[str, str]) -> list[str]:
 
 
 def _value(leaf: ET.Element) -> str | None:
-    return leaf.get("value", leaf.get("v"))
+    """The value of an option, with `${NAME}` as the environment has it; others stay, as they are SUMO's own."""
+    value = leaf.get("value", leaf.get("v"))
+    return value and re.sub(r"\$\{(\w+)\}", lambda found: os.environ.get(found[1], found[0]), value)
 
 
 def _files(value: str, folder: Path) -> str:
@@ -144,50 +140,3 @@ def seconds(text: str, file: Path) -> float:
         raise UserError(f'{file}: found the time "{text}"; accepted are seconds or h:m:s.') from None
     scale = (1.0, 60.0, 3600.0, 86_400.0)
     return sum(part * unit for part, unit in zip(reversed(parts), scale, strict=False))
-
-
-def redirected(config: SumoConfig, folder: Path) -> dict[str, str]:
-    """The options with every output in `folder`, so that the user's own folder stays as it is.
-
-    Additional files that write something are copied there first: SUMO puts what they write beside them.
-    """
-    options = dict(config.options)
-    for name, value in options.items():
-        if (name.endswith("output") or name in OUTPUTS) and value not in ("", "NUL", "nul", "/dev/null"):
-            options[name] = ",".join(str(folder.resolve() / _base(part)) for part in value.split(","))
-    if "save-state.times" in options or "save-state.period" in options:
-        options.setdefault("save-state.prefix", str(folder.resolve() / "state"))
-    if "additional-files" in options:
-        files = [Path(name) for name in options["additional-files"].split(",")]
-        options["additional-files"] = ",".join(str(_redirected_file(file, folder)) for file in files)
-    return options
-
-
-def _base(name: str) -> str:
-    """A file's name without its folder, whichever slash separates them."""
-    return name.strip().replace("\\", "/").rpartition("/")[2]
-
-
-def _redirected_file(file: Path, folder: Path) -> Path:
-    try:
-        with (gzip.open if file.suffix == ".gz" else open)(file, "rb") as stream:
-            tree = ET.parse(stream)
-    except (ET.ParseError, OSError, EOFError):
-        return file  # something SUMO will complain about itself
-    if not any(_writes(element, key) for element in tree.iter() for key in element.attrib):
-        return file
-    for element in tree.iter():
-        for key in ("file", "dest", "href", "imgFile", "output"):
-            value = element.get(key)
-            if not value or value == "NUL":
-                continue
-            name = _base(value) if _writes(element, key) else str((file.parent / value.replace("\\", "/")).resolve())
-            element.set(key, name)
-    copy = folder.resolve() / f"{folder.name}.{file.name.removesuffix('.gz')}"
-    tree.write(copy, encoding="utf-8", xml_declaration=True)
-    return copy
-
-
-def _writes(element: ET.Element, key: str) -> bool:
-    """Whether the attribute names a file that SUMO writes."""
-    return key == "output" or (key in ("file", "dest") and element.tag in WRITERS)

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 import libsumo
 
 from emran_sumo.path import Path
-from emran_sumo.world import braking, phantom, session, wishes
+from emran_sumo.world import braking, phantom, session, stops, wishes
+from emran_sumo.world.arrival import Arrivals
 from emran_sumo.world.passages import Passages
 from emran_sumo.world.phantom import Phantoms
 from emran_sumo.world.records import Intent, Pose, Road, TakeOver, Traffic
@@ -24,7 +25,6 @@ SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
 LANE_CHANGE_DEFAULT = 1621
 REMOVE_ARRIVED = 2
-ARRIVAL_ROOM = 2.0  # steps before the arrival position: SUMO removes no vehicle that is moved from outside
 
 
 class SumoWorld:
@@ -52,6 +52,7 @@ class SumoWorld:
         self._sight = Sight()
         self._phantoms = Phantoms()
         self._passages = Passages()
+        self._arrivals = Arrivals()
         self._held: dict[str, int] = {}
         self._searched: dict[str, str] = {}  # off-road egos and where they want to go
         self._fronts: dict[str, float] = {}
@@ -156,6 +157,7 @@ class SumoWorld:
         vehicle.setLaneChangeMode(ego, LANE_CHANGE_DEFAULT if lane_changes and not params else LANE_CHANGE_OURS)
         vehicle.setActionStepLength(ego, self.step)
         vehicle.setImperfection(ego, 0.0)  # a human's dawdling is no reference: it is drawn anew each step
+        stops.keep_on_lane(ego)
         session.show(ego)
         self._sight.look_from(ego)
         lane = vehicle.getLaneID(ego)
@@ -244,6 +246,8 @@ class SumoWorld:
             for ego, pose in poses.items():
                 if self.knows(ego):
                     self._place(ego, pose)
+                else:
+                    self._sight.close(ego)  # SUMO cannot finish the step with one that it has removed
             libsumo.simulation.step()
             self._note(fresh=False)
             self._pending = False
@@ -251,6 +255,7 @@ class SumoWorld:
                 if not (lane := self.lane_of(ego)):
                     continue
                 self._lead_on(ego)
+                stops.keep_on_lane(ego)  # those that SUMO has given it on its way
                 if self._passages.note(ego, lane):
                     self.rerouted(ego)  # the way is the same
                 speed = max(pose.speed, 0.0)
@@ -358,17 +363,8 @@ class SumoWorld:
             return False
 
     def arrived(self, ego: str) -> bool:
-        """Whether the ego is at the end of its route: SUMO itself removes no vehicle that is moved from outside."""
-        vehicle = libsumo.vehicle
-        route = vehicle.getRoute(ego)
-        if vehicle.getRoadID(ego) != route[-1] or vehicle.getRouteIndex(ego) < len(route) - 1:
-            return False
-        # a stop that is still to be made comes first
-        if vehicle.getStops(ego, 1):
-            return False
-        end = libsumo.lane.getLength(vehicle.getLaneID(ego))
-        room = max(ARRIVAL_ROOM * vehicle.getSpeed(ego) * self.step, 1.0)
-        return vehicle.getLanePosition(ego) > end - room
+        """Whether the ego is at the end of its route."""
+        return self._arrivals.is_there(ego, self.step)
 
     def release(self, ego: str) -> None:
         """Take a driven vehicle and its phantom from the road: it has arrived, crashed or is lost."""
