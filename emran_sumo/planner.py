@@ -172,20 +172,25 @@ class LaneFollower:
             return  # in a queue only a change that the route needs cannot wait
         before, length = ego.base, max(ego.speed * DURATION, SHORTEST)
         length = min(length, max(room - SPARE, TIGHTEST))
-        if not self._blend(ego, target, length):
-            return
+        can_wait = ego.speed > SLOW or room > AT_THE_END
+        if not self._blend(ego, target, length, at_any_speed=not can_wait):
+            return  # where the route needs it, SUMO lets the ego come slower and wishes it again
         self._changing = Changing(side, before, ego.state.position + length)
         self.count += 1
         word = "left" if side > 0 else "right"
         ego.enter(f"change {word}", f"lane change {word} begins at {ego.speed:.1f} m/s")
 
-    def _blend(self, ego: Ego, target: Path, length: float) -> bool:
-        """Take the way from the present path to `target`; False where the target does not pass here."""
+    def _blend(self, ego: Ego, target: Path, length: float, at_any_speed: bool = False) -> bool:
+        """Take the way from the present path to `target`; False where the target does not pass here, or where the way
+        to it bends more than can be driven at the present speed."""
         here = nearest(ego.path, ego.state.vehicle.x, ego.state.vehicle.y, ego.state.position)
         there = nearest(target, here.x, here.y, first_near(target, here.x, here.y, here.yaw))
         if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
             return False
-        ego.take_path(target, blended(target, ego.path, here.position, there.position, length))
+        path = blended(target, ego.path, here.position, there.position, length)
+        if not at_any_speed and not ego.can_drive(path, length):
+            return False
+        ego.take_path(target, path, bends=True)
         return True
 
     def _go_on(self, ego: Ego, changing: Changing, others: Others, lanes: Lanes) -> None:
@@ -203,7 +208,7 @@ class LaneFollower:
     def reroute(self, ego: Ego, lanes: Lanes) -> None:
         """The route has changed: follow the new one from here."""
         target = lanes.lane_path(ego.name, 0)
-        if target is not None and target is not ego.base and self._blend(ego, target, SHORTEST):
+        if target is not None and target is not ego.base and self._blend(ego, target, SHORTEST, at_any_speed=True):
             self._changing = None
             ego.maneuver = "keep lane"
             ego.say("INFO", "the route has changed")
@@ -213,7 +218,7 @@ class LaneFollower:
         target = lanes.lane_path(ego.name, 0)
         if target is None or target is ego.base:
             return
-        self._blend(ego, target, SHORTEST)
+        self._blend(ego, target, SHORTEST, at_any_speed=True)
 
 
 def _is_free(ego: Ego, others: Others) -> bool:
