@@ -162,7 +162,9 @@ class Ego:
         # half a meter further: behind the car the path goes on straight
         first, last = (int((here + ahead) / path.spacing) for ahead in (0.5, length + 0.5))
         own = path._replace(**{name: getattr(path, name)[first:last] for name in path._fields[:5]})
-        if np.abs(own.curvature).max(initial=0.0) * (v.front_axle + v.rear_axle) > math.tan(v.steer_limit):
+        if own.curvature.size == 0:
+            return False
+        if np.abs(own.curvature).max() * (v.front_axle + v.rear_axle) > math.tan(v.steer_limit):
             return False
         return self.speed <= _blend_caps(own, self.scenario)[0]
 
@@ -365,7 +367,7 @@ def _caps(path: Path, scenario: Scenario) -> np.ndarray:
 
 
 def _blend_caps(path: Path, scenario: Scenario) -> np.ndarray:
-    """Speeds (n,) [m/s] that the bends of a path from lane to lane allow: it is short, and may take more of the tires."""
+    """Speeds (n,) [m/s] that the bends of a path from lane to lane allow: it is short and may take more."""
     road = scenario.road
     accel = min(BLEND_SHARE * road.curve_accel, BLEND_FRICTION_SHARE * road.friction * 9.81)
     return speed_cap(path, accel, road.curve_decel)

@@ -11,7 +11,7 @@ from emran_sumo.ego import Ego
 from emran_sumo.errors import UserError
 from emran_sumo.loop import AT
 from emran_sumo.maneuver import DoubleLaneChange
-from emran_sumo.path import Path, first_near, nearest, path_length
+from emran_sumo.path import Path, Point, first_near, nearest, path_length, wrap
 from emran_sumo.world.lanes import blended
 from emran_sumo.world.records import Intent, Others, TakeOver
 
@@ -28,7 +28,7 @@ AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
 REACH = 120.0  # m of path that must lie ahead, else it is built anew
 LAST = 40.0  # m of path ahead with which any new one is taken
-AHEAD = 0.5  # m that a path may begin ahead
+STEP, KINK = 0.1, 0.05  # m, rad, between a path and the one that goes on
 
 
 class Lanes(Protocol):
@@ -190,15 +190,15 @@ class LaneFollower:
     def _blend(self, ego: Ego, target: Path, length: float, must: bool = False) -> bool:
         """Take the way from the present path to `target`; False where the target does not pass here.
 
-        Unless it `must` be taken it is not, either, where it begins ahead of the ego, or bends more than can be driven.
+        Unless it `must` be taken it is not, either, where it has a step or a kink here, as where `target` begins only
+        ahead, or bends more than can be driven.
         """
         here = nearest(ego.path, ego.state.vehicle.x, ego.state.vehicle.y, ego.state.position)
         there = nearest(target, here.x, here.y, first_near(target, here.x, here.y, here.yaw))
         if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
             return False
-        ahead = (there.x - here.x) * math.cos(there.yaw) + (there.y - here.y) * math.sin(there.yaw)
         path = blended(target, ego.path, here.position, there.position, length)
-        if not must and (ahead > AHEAD or not ego.can_drive(path, length)):
+        if not must and not (_goes_on(path, here) and ego.can_drive(path, length)):
             return False
         ego.take_path(target, path, bends=True)
         return True
@@ -229,6 +229,13 @@ class LaneFollower:
         if target is None or target is ego.base:
             return
         self._blend(ego, target, SHORTEST, must=path_length(ego.path) - ego.state.position < LAST)
+
+
+def _goes_on(path: Path, here: Point) -> bool:
+    """Whether a path leads through a point of the one before it, in its direction."""
+    point = nearest(path, here.x, here.y, first_near(path, here.x, here.y, here.yaw))
+    step = math.hypot(point.x - here.x, point.y - here.y)
+    return step < STEP and abs(float(wrap(point.yaw - here.yaw))) < KINK
 
 
 def _is_free(ego: Ego, others: Others) -> bool:
