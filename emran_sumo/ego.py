@@ -44,6 +44,7 @@ ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego'
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
+BLEND_SHARE, BLEND_FRICTION_SHARE = 1.5, 0.6  # of curve_accel and of the friction that ways from lane to lane may take
 
 
 class Event(NamedTuple):
@@ -154,8 +155,24 @@ class Ego:
         ahead = path_length(self.path) - self.state.position
         return ahead < max(self.speed, 1.0) + self.vehicle.length
 
-    def take_path(self, base: Path, path: Path) -> None:
-        """Follow `path` from here on; `base` is the center line of the lane that it belongs to or leads to."""
+    def can_drive(self, path: Path, length: float) -> bool:
+        """Whether speed and steering allow the next `length` [m] of a path from lane to lane, that begins here."""
+        car, v = self.state.vehicle, self.vehicle
+        here = nearest(path, car.x, car.y, first_near(path, car.x, car.y, car.yaw)).position
+        # half a meter further: behind the car the path goes on straight
+        first, last = (int((here + ahead) / path.spacing) for ahead in (0.5, length + 0.5))
+        own = path._replace(**{name: getattr(path, name)[first:last] for name in path._fields[:5]})
+        if own.curvature.size == 0:
+            return False
+        if np.abs(own.curvature).max() * (v.front_axle + v.rear_axle) > math.tan(v.steer_limit):
+            return False
+        return self.speed <= _blend_caps(own, self.scenario)[0]
+
+    def take_path(self, base: Path, path: Path, bends: bool = False) -> None:
+        """Follow `path` from here on; `base` is the center line of the lane that it belongs to or leads to.
+
+        bends: the speed comes down before the bends of `path` too, not of `base` alone.
+        """
         before = self.state.position
         car = self.state.vehicle
         self.base, self.path = base, path
@@ -167,6 +184,10 @@ class Ego:
         self._origin += before - position
         self.state = self.state._replace(position=position)
         self._cap = _caps(base, self.scenario)
+        if bends:
+            own = _blend_caps(path, self.scenario)
+            count = min(own.size, self._cap.size)
+            self._cap[:count] = np.minimum(self._cap[:count], own[:count])
 
     def follow(self, intent: Intent) -> None:
         """Take over what the world wants for this step: the cruise reference."""
@@ -343,6 +364,13 @@ def _caps(path: Path, scenario: Scenario) -> np.ndarray:
     """Speeds (n,) [m/s] that the bends of a path allow."""
     road = scenario.road
     return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
+
+
+def _blend_caps(path: Path, scenario: Scenario) -> np.ndarray:
+    """Speeds (n,) [m/s] that the bends of a path from lane to lane allow: it is short and may take more."""
+    road = scenario.road
+    accel = min(BLEND_SHARE * road.curve_accel, BLEND_FRICTION_SHARE * road.friction * 9.81)
+    return speed_cap(path, accel, road.curve_decel)
 
 
 def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:

@@ -11,7 +11,7 @@ from emran_sumo.ego import Ego
 from emran_sumo.errors import UserError
 from emran_sumo.loop import AT
 from emran_sumo.maneuver import DoubleLaneChange
-from emran_sumo.path import Path, first_near, nearest, path_length
+from emran_sumo.path import Path, Point, first_near, nearest, path_length, wrap
 from emran_sumo.world.lanes import blended
 from emran_sumo.world.records import Intent, Others, TakeOver
 
@@ -22,10 +22,13 @@ DURATION = 4.0  # s of a lane change
 SHORTEST = 20.0  # m of a lane change
 TIGHTEST = 10.0  # m of a lane change where the lane ends
 SPARE = 8.0  # m of the lane that are left behind it
+OVER = 1.4  # times the lane that is left: 6/7 of the way across are done where it ends
 SLOW = 1.0  # m/s
 AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
 REACH = 120.0  # m of path that must lie ahead, else it is built anew
+LAST = 40.0  # m of path ahead with which any new one is taken
+STEP, KINK = 0.1, 0.05  # m, rad, between a path and the one that goes on
 
 
 class Lanes(Protocol):
@@ -171,21 +174,33 @@ class LaneFollower:
         if target is None or (ego.speed < SLOW and room > AT_THE_END):
             return  # in a queue only a change that the route needs cannot wait
         before, length = ego.base, max(ego.speed * DURATION, SHORTEST)
-        length = min(length, max(room - SPARE, TIGHTEST))
-        if not self._blend(ego, target, length):
-            return
+        cannot_wait = ego.speed < SLOW
+        # where that is sharper than can be driven, most of it at least is done before the lane ends
+        shortest, longer = (min(length, most) for most in (max(room - SPARE, TIGHTEST), OVER * room))
+        for length in (shortest, longer) if longer > shortest else (shortest,):
+            if self._blend(ego, target, length, must=cannot_wait):
+                break
+        else:
+            return  # where the route needs it, SUMO lets the ego come slower and wishes it again
         self._changing = Changing(side, before, ego.state.position + length)
         self.count += 1
         word = "left" if side > 0 else "right"
         ego.enter(f"change {word}", f"lane change {word} begins at {ego.speed:.1f} m/s")
 
-    def _blend(self, ego: Ego, target: Path, length: float) -> bool:
-        """Take the way from the present path to `target`; False where the target does not pass here."""
+    def _blend(self, ego: Ego, target: Path, length: float, must: bool = False) -> bool:
+        """Take the way from the present path to `target`; False where the target does not pass here.
+
+        Unless it `must` be taken it is not, either, where it has a step or a kink here, as where `target` begins only
+        ahead, or bends more than can be driven.
+        """
         here = nearest(ego.path, ego.state.vehicle.x, ego.state.vehicle.y, ego.state.position)
         there = nearest(target, here.x, here.y, first_near(target, here.x, here.y, here.yaw))
         if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
             return False
-        ego.take_path(target, blended(target, ego.path, here.position, there.position, length))
+        path = blended(target, ego.path, here.position, there.position, length)
+        if not must and not (_goes_on(path, here) and ego.can_drive(path, length)):
+            return False
+        ego.take_path(target, path, bends=True)
         return True
 
     def _go_on(self, ego: Ego, changing: Changing, others: Others, lanes: Lanes) -> None:
@@ -203,7 +218,7 @@ class LaneFollower:
     def reroute(self, ego: Ego, lanes: Lanes) -> None:
         """The route has changed: follow the new one from here."""
         target = lanes.lane_path(ego.name, 0)
-        if target is not None and target is not ego.base and self._blend(ego, target, SHORTEST):
+        if target is not None and target is not ego.base and self._blend(ego, target, SHORTEST, must=True):
             self._changing = None
             ego.maneuver = "keep lane"
             ego.say("INFO", "the route has changed")
@@ -213,7 +228,14 @@ class LaneFollower:
         target = lanes.lane_path(ego.name, 0)
         if target is None or target is ego.base:
             return
-        self._blend(ego, target, SHORTEST)
+        self._blend(ego, target, SHORTEST, must=path_length(ego.path) - ego.state.position < LAST)
+
+
+def _goes_on(path: Path, here: Point) -> bool:
+    """Whether a path leads through a point of the one before it, in its direction."""
+    point = nearest(path, here.x, here.y, first_near(path, here.x, here.y, here.yaw))
+    step = math.hypot(point.x - here.x, point.y - here.y)
+    return step < STEP and abs(float(wrap(point.yaw - here.yaw))) < KINK
 
 
 def _is_free(ego: Ego, others: Others) -> bool:

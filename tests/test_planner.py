@@ -7,9 +7,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from emran_sumo.ego import Ego as RealEgo
 from emran_sumo.maneuver import DoubleLaneChange
-from emran_sumo.path import Path
-from emran_sumo.planner import AT_THE_END, SPARE, TIGHTEST, WAITING_TO_RETURN, DoubleLaneChanger, LaneFollower
+from emran_sumo.path import Path, first_near
+from emran_sumo.planner import AT_THE_END, OVER, SPARE, TIGHTEST, WAITING_TO_RETURN, DoubleLaneChanger, LaneFollower
+from emran_sumo.plant.vehicle import VehicleParams
+from emran_sumo.scenario import RoadParams
 from emran_sumo.world.records import Intent, Others
 
 WIDTH = 3.2
@@ -28,12 +31,15 @@ class Ego:
     def __init__(self, speed: float) -> None:
         self.name, self.speed, self.time, self.lane_width = "ego", speed, 10.0, WIDTH
         self.base = self.path = lane(0.0)
-        self.state = SimpleNamespace(position=100.0, vehicle=SimpleNamespace(x=100.0, y=0.0))
-        self.vehicle = SimpleNamespace(length=4.7)
+        self.state = SimpleNamespace(position=100.0, vehicle=SimpleNamespace(x=100.0, y=0.0, yaw=0.0))
+        self.vehicle = VehicleParams()
+        self.scenario = SimpleNamespace(road=RoadParams())
         self.maneuver, self.said = "keep lane", []
 
-    def take_path(self, base: Path, path: Path) -> None:
-        self.base, self.path = base, path
+    can_drive = RealEgo.can_drive
+
+    def take_path(self, base: Path, path: Path, bends: bool = False) -> None:
+        self.base, self.path, self.slows_for_it = base, path, bends
 
     def enter(self, name: str, text: str, level: str = "INFO") -> None:
         del level
@@ -84,10 +90,80 @@ def test_a_change_takes_four_seconds_and_leaves_the_lane_without_a_kink(speed):
     assert ego.path.y[400] == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("room", [50.0, 25.0, 12.0])
-def test_a_change_ends_before_the_lane_does(room):
-    ego, _, _ = begun(15.0, room)
+@pytest.mark.parametrize(("speed", "room"), [(15.0, 50.0), (8.0, 25.0), (4.5, 12.0)])
+def test_a_change_ends_before_the_lane_does(speed, room):
+    ego, _, _ = begun(speed, room)
     assert reached(ego.path) <= max(room - SPARE, TIGHTEST)
+
+
+def test_a_change_that_is_too_sharp_before_the_end_of_the_lane_is_mostly_done_there():
+    ego, follower, lanes = begun(8.0, 14.0)
+    assert follower.count == 1
+    assert reached(ego.path) <= OVER * 14.0
+    assert np.interp(114.0, ego.path.x, ego.path.y) > 0.85 * WIDTH
+    assert ego.base is lanes.left
+
+
+def test_a_change_that_cannot_be_driven_at_the_present_speed_waits_until_it_can():
+    ego, follower, _ = begun(15.0, 12.0)
+    assert (follower.count, ego.said) == (0, [])
+    assert ego.path is ego.base
+    ego.speed = 4.0
+    follower.plan(ego, Intent(4.0, 1), FREE, cast(Any, Lanes()))
+    assert follower.count == 1
+    assert ego.slows_for_it, "it must not speed up within the bends of the change"
+
+
+def ring(radius: float) -> Path:
+    """Counter-clockwise around (0, 100) from below."""
+    s = np.arange(0.0, 1.9 * np.pi * radius, 0.25)
+    yaw = s / radius
+    zero = np.zeros_like(s)
+    return Path(radius * np.sin(yaw), 100.0 - radius * np.cos(yaw), yaw, zero + 1.0 / radius, zero, 0.25)
+
+
+def in_a_ring(speed: float, room: float) -> tuple[Any, LaneFollower]:
+    """An ego a quarter around on the inner lane of a roundabout, radius 16 m, that has to leave it."""
+    ego, lanes = cast(Any, Ego(speed)), cast(Any, Lanes())
+    ego.base = ego.path = ring(16.0)
+    ego.state.position = 25.0
+    ego.state.vehicle = SimpleNamespace(**{k: float(getattr(ego.path, k)[100]) for k in ("x", "y", "yaw")})
+    lanes.lane_path = lambda _ego, _side: ring(16.0 + WIDTH)
+    follower = LaneFollower(True, lambda _: room)
+    follower.plan(ego, Intent(speed, -1), FREE, lanes)
+    return ego, follower
+
+
+@pytest.mark.parametrize("room", [11.0, 14.0, 20.0, 40.0])
+@pytest.mark.parametrize("speed", [2.0, 4.0, 6.0, 7.6])
+def test_a_change_in_a_roundabout_is_begun_only_where_the_car_can_drive_it(speed, room):
+    ego, follower = in_a_ring(speed, room)
+    car, v = ego.state.vehicle, ego.vehicle
+    begin = round(first_near(ego.path, car.x, car.y, car.yaw) / 0.25)
+    curvature = ego.path.curvature[begin + 3 : begin + 160]
+    if follower.count == 1:
+        assert np.abs(curvature).max() < np.tan(v.steer_limit) / (v.front_axle + v.rear_axle)
+        assert np.abs(curvature[0]) * speed**2 <= 1.5 * 3.0
+        # what is ahead may be braked for, at 2 m/s2
+        allowed = speed**2 - 2.0 * 2.0 * 0.25 * np.arange(curvature.size)
+        assert (np.abs(curvature) * allowed).max() < 1.02 * 1.5 * 3.0
+    elif room < 40.0:
+        assert speed > 5.0, "a slow car can always change"
+    else:
+        raise AssertionError("there is room enough")
+
+
+def test_a_path_that_begins_ahead_of_the_car_is_not_taken_as_its_further_way():
+    ego, lanes = cast(Any, Ego(8.0)), cast(Any, Lanes())
+    short = Path(*(values[:800] for values in ego.path[:5]), spacing=0.25)  # 100 m are left
+    ego.base = ego.path = short
+    lanes.lane_path = lambda _ego, _side: Path(*(v[416:] for v in lane(2.0)[:5]), spacing=0.25)  # from x = 104 m
+    follower = LaneFollower(True, lambda _: math.inf)
+    follower.plan(ego, Intent(8.0), FREE, lanes)
+    assert ego.path is short
+    lanes.lane_path = lambda _ego, _side: lane(0.0)
+    follower.plan(ego, Intent(8.0), FREE, lanes)
+    assert ego.path is not short
 
 
 def test_in_a_queue_only_a_change_that_cannot_wait_begins():
