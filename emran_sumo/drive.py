@@ -308,9 +308,7 @@ class Host:
         return Outcome("lost", f"its lane ended before its route did {where}")
 
 
-def _tell(
-    recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None, in_traffic: bool
-) -> None:
+def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None, in_traffic: bool) -> None:
     control, row = ego.control, ego.frames.last[-1]
     aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     if before is None:

@@ -2,7 +2,7 @@
 
 import libsumo
 
-from emran_sumo.world.braking import to_light, to_stop
+from emran_sumo.world.braking import STOPPED, to_light, to_stop
 from emran_sumo.world.session import SUMO_ERRORS
 
 QUEUE, LINE, HALT = 6.0, 10.0, 3.0  # m to the vehicle ahead, to the light, to the stop
@@ -14,7 +14,7 @@ def reason(ego: str) -> str:
     """One of REASONS for a vehicle that stands; "" if SUMO does not have it."""
     vehicle = libsumo.vehicle
     try:
-        if vehicle.isStopped(ego) or to_stop(ego) < HALT:
+        if vehicle.getStopState(ego) & STOPPED or to_stop(ego) < HALT:
             return STOP
         name, gap = vehicle.getLeader(ego, QUEUE) or ("", 0.0)
         if name and gap < QUEUE and vehicle.getRoadID(name) == vehicle.getRoadID(ego):  # not one that crosses
