@@ -26,6 +26,7 @@ OVER = 1.4  # times the lane that is left: 6/7 of the way across are done where 
 SLOW = 1.0  # m/s
 AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
+LASTS, AGAIN = 1.0, 10.0  # s after which a blocked wish is told, and told again
 REACH = 120.0  # m of path that must lie ahead, else it is built anew
 LAST = 40.0  # m of path ahead with which any new one is taken
 STEP, KINK = 0.1, 0.05  # m, rad, between a path and the one that goes on
@@ -157,16 +158,27 @@ class LaneFollower:
         self._room = room
         self._changing: Changing | None = None
         self._last = -REST
+        self._blocked, self._told = (0, 0.0), -AGAIN  # side that is wished and blocked since a time; when that was told
         self.count = 0
 
     def plan(self, ego: Ego, intent: Intent, others: Others, lanes: Lanes) -> None:
         """Decide after a step."""
+        self._note_wish(ego, intent.blocked if self._wanted and self._changing is None else 0)
         if self._changing is not None:
             self._go_on(ego, self._changing, others, lanes)
         elif self._wanted and intent.side != 0 and ego.time - self._last >= REST:
             self._start(ego, intent.side, lanes)
         elif path_length(ego.path) - ego.state.position < REACH:
             self._look_further(ego, lanes)
+
+    def _note_wish(self, ego: Ego, blocked: int) -> None:
+        """Tell of a wish that lasts and somebody blocks; SUMO's wishes come and go with every step."""
+        side, since = self._blocked
+        if blocked != side:
+            self._blocked = blocked, ego.time
+        elif side and ego.time - since > LASTS and ego.time - self._told > AGAIN:
+            self._told = ego.time
+            ego.say("INFO", f"lane change {'left' if side > 0 else 'right'} wished, but somebody is in the way")
 
     def _start(self, ego: Ego, side: int, lanes: Lanes) -> None:
         room = self._room(ego.name)

@@ -250,3 +250,24 @@ def test_way_back_waits_beside_whoever_has_come_into_the_own_lane_and_is_driven_
     ego.state.position = 360.0
     changer.plan(ego, Intent(20.0), AWAY._replace(own_offset=0.0), cast(Any, lanes))
     assert (ego.maneuver, lanes.held) == ("keep lane", 0)
+
+
+def test_a_wish_that_somebody_blocks_is_told_once_it_lasts_and_again_after_a_while():
+    ego, lanes = cast(Any, Ego(20.0)), Lanes()
+    follower = LaneFollower(True, lambda _: math.inf)
+    told = []
+    for k in range(300):  # 15 s; the wish is away for a moment at 0.5 s
+        ego.time = 10.0 + 0.05 * k
+        follower.plan(ego, Intent(20.0, blocked=0 if k == 10 else -1), FREE, cast(Any, lanes))
+        told += [ego.time] * (len(ego.said) - len(told))
+    assert ego.said == ["lane change right wished, but somebody is in the way"] * 2
+    assert told[0] == pytest.approx(10.0 + 0.55 + 1.05, abs=0.051)
+    assert told[1] - told[0] == pytest.approx(10.0, abs=0.1)
+
+
+def test_who_never_changes_the_lane_is_told_of_no_wish():
+    ego, follower = cast(Any, Ego(20.0)), LaneFollower(False, lambda _: math.inf)
+    for k in range(100):
+        ego.time = 10.0 + 0.05 * k
+        follower.plan(ego, Intent(20.0, blocked=1), FREE, cast(Any, Lanes()))
+    assert not ego.said

@@ -85,8 +85,9 @@ class Intent(NamedTuple):
     """What the world wants of an ego in one step.
 
     speed [m/s] at the end of the step. side: +1 to change to the lane on the left, -1 right, 0 stay; only a change that
-    nobody blocks. top [m/s]: what the road and the car allow. Where the profile within the step is known: speeds
-    (n + 1,) [m/s] at the borders of the n control periods and accels (n,) [m/s2], ahead by the lag of the drive.
+    nobody blocks; blocked: the same for one that somebody blocks. top [m/s]: what the road and the car allow. Where the
+    profile within the step is known: speeds (n + 1,) [m/s] at the borders of the n control periods and accels (n,)
+    [m/s2], ahead by the lag of the drive.
     """
 
     speed: float
@@ -94,6 +95,7 @@ class Intent(NamedTuple):
     speeds: np.ndarray | None = None
     accels: np.ndarray | None = None
     top: float = np.inf
+    blocked: int = 0
 
 
 class TakeOver(NamedTuple):

@@ -220,7 +220,7 @@ class SumoWorld:
                 return Intent(speed, top=libsumo.vehicle.getAllowedSpeed(ego))
         if change.needs_room and ego not in self._phantoms:
             speed = min(speed, braking.speed_for_room(ego, self.step))
-        return Intent(speed, change.side, top=libsumo.vehicle.getAllowedSpeed(ego))
+        return Intent(speed, change.side, top=libsumo.vehicle.getAllowedSpeed(ego), blocked=change.blocked)
 
     def room(self, ego: str) -> float:
         """How far the ego can drive along its route without changing the lane [m]; 0 inside a junction."""

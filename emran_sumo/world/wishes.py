@@ -16,15 +16,17 @@ UNKNOWN = 1 << 30
 
 
 class Wish(NamedTuple):
-    """side: +1 left, -1 right, 0 none that is free; needs_room: one that the route needs is blocked."""
+    """side: +1 left, -1 right, 0 none that is free; needs_room: one that the route needs is blocked; blocked: side of a
+    wish that is blocked."""
 
     side: int
     needs_room: bool
+    blocked: int = 0
 
 
 def lane_change(ego: str) -> Wish:
     """What SUMO wishes for this step."""
-    needs_room = False
+    needs_room, blocked = False, 0
     for side, bit in ((1, LEFT), (-1, RIGHT)):
         state = libsumo.vehicle.getLaneChangeState(ego, side)[0]
         if state == UNKNOWN or not (state & bit and state & REASONS):
@@ -32,7 +34,8 @@ def lane_change(ego: str) -> Wish:
         if not state & BLOCKED:
             return Wish(side, needs_room)
         needs_room |= bool(state & STRATEGIC)
-    return Wish(0, needs_room)
+        blocked = side
+    return Wish(0, needs_room, blocked)
 
 
 def weigh_anew(ego: str) -> None:
