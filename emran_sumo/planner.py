@@ -24,6 +24,7 @@ TIGHTEST = 10.0  # m of a lane change where the lane ends
 SPARE = 8.0  # m of the lane that are left behind it
 OVER = 1.4  # times the lane that is left: 6/7 of the way across are done where it ends
 SLOW = 1.0  # m/s
+BRAKING = 4.0  # m/s2: who needs more to stop on its lane changes it, sharp as that may be
 AT_THE_END = 60.0  # m of lane left
 REST = 1.0  # s between lane changes
 LASTS, AGAIN = 1.0, 10.0  # s after which a blocked wish is told, and told again
@@ -186,7 +187,7 @@ class LaneFollower:
         if target is None or (ego.speed < SLOW and room > AT_THE_END):
             return  # in a queue only a change that the route needs cannot wait
         before, length = ego.base, max(ego.speed * DURATION, SHORTEST)
-        cannot_wait = ego.speed < SLOW
+        cannot_wait = ego.speed < SLOW or ego.speed * ego.speed > 2.0 * BRAKING * room
         # where that is sharper than can be driven, most of it at least is done before the lane ends
         shortest, longer = (min(length, most) for most in (max(room - SPARE, TIGHTEST), OVER * room))
         for length in (shortest, longer) if longer > shortest else (shortest,):

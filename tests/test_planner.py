@@ -105,13 +105,17 @@ def test_a_change_that_is_too_sharp_before_the_end_of_the_lane_is_mostly_done_th
 
 
 def test_a_change_that_cannot_be_driven_at_the_present_speed_waits_until_it_can():
-    ego, follower, _ = begun(15.0, 12.0)
+    ego, follower, _ = begun(9.5, 12.0)
     assert (follower.count, ego.said) == (0, [])
     assert ego.path is ego.base
     ego.speed = 4.0
     follower.plan(ego, Intent(4.0, 1), FREE, cast(Any, Lanes()))
     assert follower.count == 1
     assert ego.slows_for_it, "it must not speed up within the bends of the change"
+
+
+def test_who_can_no_longer_stop_before_the_end_of_the_lane_changes_it_at_once():
+    assert begun(11.0, 12.0)[1].count == 1
 
 
 def ring(radius: float) -> Path:
