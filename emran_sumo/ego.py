@@ -13,6 +13,7 @@ from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed
 from emran_sumo.own_controller import OwnController
 from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
+from emran_sumo.plant.records import GRAVITY
 from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.reference import SpeedReference
@@ -44,7 +45,7 @@ ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego'
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 TOO_FAST = 1.2  # times what the bends ahead allow
 FRICTION_SHARE = 0.5  # of the friction that bends may take
-BLEND_SHARE, BLEND_FRICTION_SHARE = 1.5, 0.6  # of curve_accel and of the friction that ways from lane to lane may take
+BLEND_SHARES = (1.5, 0.6)  # of curve_accel and of the friction that the short ways from lane to lane may take
 
 
 class Event(NamedTuple):
@@ -166,7 +167,7 @@ class Ego:
             return False
         if np.abs(own.curvature).max() * (v.front_axle + v.rear_axle) > math.tan(v.steer_limit):
             return False
-        return self.speed <= _blend_caps(own, self.scenario)[0]
+        return self.speed <= _caps(own, self.scenario, *BLEND_SHARES)[0]
 
     def take_path(self, base: Path, path: Path, bends: bool = False) -> None:
         """Follow `path` from here on; `base` is the center line of the lane that it belongs to or leads to.
@@ -185,7 +186,7 @@ class Ego:
         self.state = self.state._replace(position=position)
         self._cap = _caps(base, self.scenario)
         if bends:
-            own = _blend_caps(path, self.scenario)
+            own = _caps(path, self.scenario, *BLEND_SHARES)
             count = min(own.size, self._cap.size)
             self._cap[:count] = np.minimum(self._cap[:count], own[:count])
 
@@ -360,17 +361,10 @@ class Ego:
             last = row
 
 
-def _caps(path: Path, scenario: Scenario) -> np.ndarray:
-    """Speeds (n,) [m/s] that the bends of a path allow."""
+def _caps(path: Path, scenario: Scenario, share: float = 1.0, friction_share: float = FRICTION_SHARE) -> np.ndarray:
+    """Speeds (n,) [m/s] that the bends of a path allow, with a share of the road's curve_accel and of its friction."""
     road = scenario.road
-    return speed_cap(path, min(road.curve_accel, FRICTION_SHARE * road.friction * 9.81), road.curve_decel)
-
-
-def _blend_caps(path: Path, scenario: Scenario) -> np.ndarray:
-    """Speeds (n,) [m/s] that the bends of a path from lane to lane allow: it is short and may take more."""
-    road = scenario.road
-    accel = min(BLEND_SHARE * road.curve_accel, BLEND_FRICTION_SHARE * road.friction * 9.81)
-    return speed_cap(path, accel, road.curve_decel)
+    return speed_cap(path, min(share * road.curve_accel, friction_share * road.friction * GRAVITY), road.curve_decel)
 
 
 def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:

@@ -190,7 +190,8 @@ class LaneFollower:
         cannot_wait = ego.speed < SLOW or ego.speed * ego.speed > 2.0 * BRAKING * room
         # where that is sharper than can be driven, most of it at least is done before the lane ends
         shortest, longer = (min(length, most) for most in (max(room - SPARE, TIGHTEST), OVER * room))
-        for length in (shortest, longer) if longer > shortest else (shortest,):
+        tried = (shortest, longer) if longer > shortest else (shortest,)
+        for length in tried:
             if self._blend(ego, target, length, must=cannot_wait):
                 break
         else:

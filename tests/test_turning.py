@@ -12,7 +12,7 @@ from emran_sumo.loop import AT
 from emran_sumo.path import first_near, path_from_points
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.world import turning
-from emran_sumo.world.crossings import free
+from emran_sumo.world.crossings import free_length
 from emran_sumo.world.lanes import dense, joined, smooth_path
 from emran_sumo.world.records import Traffic
 from emran_sumo.world.sumo import SumoWorld
@@ -167,13 +167,13 @@ def test_a_way_is_free_as_far_as_no_body_reaches_into_it():
     both = Traffic(("across", "beside"), np.array([20.0, 10.0]), np.array([0.0, 2.35]), np.array([np.pi / 2, 0.0]),
                    *size, np.zeros(2))  # fmt: skip
     # from 20 m less half its width, half the ego's and 0.4 m on
-    assert free(way, 1.8, both) == pytest.approx(20.0 - 1.0 - 0.9 - 0.4, abs=0.5)
+    assert free_length(way, 1.8, both) == pytest.approx(20.0 - 1.0 - 0.9 - 0.4, abs=0.5)
     nearer = both._replace(y=np.array([0.0, 1.9]))
-    assert free(way, 1.8, nearer) < 10.0
-    assert free(way, 1.8, both._replace(y=np.array([8.0, 8.0]))) == np.inf
+    assert free_length(way, 1.8, nearer) < 10.0
+    assert free_length(way, 1.8, both._replace(y=np.array([8.0, 8.0]))) == np.inf
     # one that comes is counted where it will be: 10 m/s for 0.7 s
     comes = both._replace(y=np.array([-8.0, 8.0]), speed=np.array([10.0, 0.0]))
-    assert free(way, 1.8, comes) == pytest.approx(17.7, abs=0.5)
+    assert free_length(way, 1.8, comes) == pytest.approx(17.7, abs=0.5)
 
 
 def test_places_on_the_lanes_follow_the_loop_from_its_begin_to_its_end(tmp_path):

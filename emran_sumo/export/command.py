@@ -12,7 +12,7 @@ from typing import TypeVar
 from emran_sumo import found
 from emran_sumo.ego import UNITS
 from emran_sumo.errors import UserError
-from emran_sumo.recording.table import read_trace, write_csv
+from emran_sumo.recording.table import read_trace, read_units, write_csv
 from emran_sumo.report import verdict
 from emran_sumo.warm import Progress
 
@@ -36,7 +36,7 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     if kind not in FORMATS:
         raise UserError(f'--format: found "{kind}"; accepted is {", ".join(FORMATS[:-1])} or {FORMATS[-1]}.')
     trace = found.trace(run)
-    columns = _read(trace, read_trace)
+    _read(trace, read_units)
     if kind == "parquet" and out is None:
         return trace
     file = out or trace.with_name(NAMES[kind])
@@ -45,6 +45,7 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     if kind == "parquet":
         return _complete(file, lambda part: shutil.copyfile(trace, part))
     summary = _summary(trace.with_name("summary.json"))
+    columns = _read(trace, read_trace)
     if not columns["time"].size:
         raise UserError(f"{trace}: the run ended before its first step; there is nothing to draw.")
     if kind == "png":
@@ -68,7 +69,7 @@ def _read(file: Path, read: Callable[[Path], Content]) -> Content:
         with warnings.catch_warnings(action="ignore"):  # a killed run's recording has no end, which Rerun tells
             return read(file)
     except (OSError, ValueError, RuntimeError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
+        reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
         raise UserError(f"{file}: cannot be read: {reason}; accepted is the folder of a finished run.") from None
 
 

@@ -1,10 +1,11 @@
 """Where the route of an ego ends, and whether it is there."""
 
-import gzip
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import libsumo
+
+from emran_sumo.world.files import content
 
 ROOM = 2.0  # steps before the arrival position: SUMO removes no vehicle that is moved from outside
 LEAST_ROOM = 1.0  # m
@@ -49,9 +50,7 @@ def _declared() -> dict[str, str]:
     for option in ("route-files", "additional-files"):
         for name in libsumo.simulation.getOption(option).split(","):
             try:
-                file = Path(name.strip())
-                data = file.read_bytes()
-                data = gzip.decompress(data) if file.suffix == ".gz" else data
+                data = content(Path(name.strip()))
                 root = ET.fromstring(data) if b"arrivalPos" in data else ET.Element("none")
             except (OSError, EOFError, ET.ParseError):
                 continue  # SUMO has read it

@@ -83,7 +83,7 @@ def _last_place(loop: np.ndarray, shapes: list[np.ndarray]) -> tuple[float, floa
     return float(line[k, 0]), float(line[k, 1]), yaw, float(np.hypot(*step[:k].T).sum())
 
 
-def free(way: np.ndarray, width: float, traffic: Traffic) -> float:
+def free_length(way: np.ndarray, width: float, traffic: Traffic) -> float:
     """How far a body of some width can go along a way (n, 2) until it meets another, now or soon [m]; else infinite."""
     if not traffic.ids:
         return math.inf

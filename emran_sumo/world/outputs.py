@@ -1,11 +1,11 @@
 """What SUMO writes for a user's configuration, kept in the run's folder: the user's own stays as it is."""
 
-import gzip
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from emran_sumo.world.config import SumoConfig
+from emran_sumo.world.files import content
 
 # options whose values are files to write, besides those that end in "output"
 OUTPUTS = {"netstate-dump", "person-fcd", "save-state.prefix", "save-state.files", "device.ssm.file", "device.toc.file"}
@@ -51,8 +51,7 @@ def _copied(file: Path, folder: Path, additional: bool) -> Path:
     SUMO puts what an additional file's elements write beside it, and what params name into the present folder.
     """
     try:
-        data = file.read_bytes()
-        data = gzip.decompress(data) if file.suffix == ".gz" else data
+        data = content(file)
         if not additional and not HAS_SUCH_PARAM.search(data):  # routes and networks can be large
             return file
         root = ET.fromstring(data)

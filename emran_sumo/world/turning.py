@@ -14,7 +14,7 @@ import numpy as np
 
 from emran_sumo.world.braking import to_light, to_stop
 from emran_sumo.world.closing import Closing, can_all_be_closed
-from emran_sumo.world.crossings import free
+from emran_sumo.world.crossings import free_length
 from emran_sumo.world.records import Traffic
 from emran_sumo.world.roadmap import Beside, Loop, RoadMap
 from emran_sumo.world.session import SUMO_ERRORS
@@ -124,7 +124,7 @@ class Turning:
         if libsumo.simulation.getTime() - self._under_way[ego] > HOLDS:
             self._closing.open(ego)
         k = int(np.hypot(*(way - self._front[ego]).T).argmin())
-        gap = free(way[k:], vehicle.getWidth(ego), traffic) - KEEPS
+        gap = free_length(way[k:], vehicle.getWidth(ego), traffic) - KEEPS
         faster = min(speed + vehicle.getAccel(ego) * libsumo.simulation.getDeltaT(), vehicle.getAllowedSpeed(ego))
         return max(min(faster, vehicle.getStopSpeed(ego, speed, max(gap, 0.0))), 0.0) if gap < REACH else faster
 
@@ -141,7 +141,7 @@ class Turning:
         return (
             may_pass
             and not any(self._is_shared(loop, other) for other in self._under_way)
-            and math.isinf(free(loop.way, libsumo.vehicle.getWidth(ego), traffic))
+            and math.isinf(free_length(loop.way, libsumo.vehicle.getWidth(ego), traffic))
             and _is_clear(loop, traffic, all_closed)
             and can_all_be_closed(loop.crossings, loop.lanes[0])
         )
