@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rerun_cli
-
 from test_recording import rows_of
 
 from emran_sumo import drive, locate, scenario

@@ -762,7 +762,7 @@ def test_a_simulated_minute_among_100_vehicles_stays_below_3_megabytes(recorded,
 
 
 def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
-    trace, held = ego_trace(36.0), []
+    trace, held = ego_trace(72.0), []
     scene = [(traffic_at(k / 20, 100), path_ahead(trace[5 * k])) for k in range(len(trace) // 5)]
     with open_recorder(tmp_path / "a.rrd") as recorder:
         tracemalloc.start()
@@ -771,13 +771,13 @@ def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
             if (k + 1) % 80 == 0:
                 held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()  # only now: Rerun's own thread frees what was sent, and tracing must not end under it
-    # a chunk is 0.45 MB: two may be on their way to Rerun's thread; all that were written would be 2.7 MB
-    assert max(held[3:]) - max(held[:3]) < 1_000_000
+    # a chunk is 0.65 MB: two may be on their way to Rerun's thread; all that were written would be 3.9 MB
+    assert max(held[3:]) - max(held[:3]) < 1_500_000
     with open_recorder(tmp_path / "b.rrd") as recorder:
         start = time.process_time()
         for k, (traffic, ahead) in enumerate(scene):
             recorder.write(trace[5 * k : 5 * k + 5], traffic, lambda ahead=ahead: ahead)
-        spent = (time.process_time() - start) / 36.0
+        spent = (time.process_time() - start) / 72.0
     assert spent < 0.02, f"{spent * 1e3:.1f} ms per simulated second"
 
 
