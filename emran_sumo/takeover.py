@@ -56,7 +56,7 @@ class Takeovers:
             if egos:
                 return egos
             if world.expected() == 0 or world.time > end:
-                self._explain_missing()
+                self._explain_missing(world.time)
                 said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
                 raise UserError(
                     f"ego: {selection.words()} of {self._sources()} was not on the road when the warm-up ended or "
@@ -74,16 +74,16 @@ class Takeovers:
             return {}
         return self._chosen(world, world.departed(), count)
 
-    def _explain_missing(self) -> None:
+    def _explain_missing(self, time: float) -> None:
         """Refuse egos of a configuration for what its own files say about them, if they say anything."""
-        values, world = self._located.values, self._world
+        values = self._located.values
         if not values.config:
             return
         config = read_config(self._located.folder / values.config)
         listed = (config.options.get(key, "").split(",") for key in ("route-files", "additional-files"))
         files = [Path(name) for names in listed for name in names if name]
         for ego in self.selection.ids if files else ():
-            if why := why_missing(ego, files, config.begin, world.time):
+            if why := why_missing(ego, files, config.begin, time):
                 raise UserError(why)
 
     def _sources(self) -> str:
@@ -105,13 +105,13 @@ class Takeovers:
                 if length > LONGEST:
                     told = f"{name} is {length:g} m long and driven as one rigid body, which needs wide bends"
                     world.notes = (*world.notes, told)
-                self._tell_of_slower_decisions(name)
+                self._tell_of_slower_decisions(world, name)
                 found[name] = self._take(name, fitted(vehicle, length, width), count + len(found))
         return found
 
-    def _tell_of_slower_decisions(self, name: str) -> None:
+    def _tell_of_slower_decisions(self, world: SumoWorld, name: str) -> None:
         """An ego decides in every step, whatever its type says."""
-        own, rates, world = decides_every(name), self._located.values.rates, self._world
+        own, rates = decides_every(name), self._located.values.rates
         told = f"{name} decides in each step; SUMO's own driver of its type does so every {own:g} s, and drives slower"
         kind, _ = world.kind(name)
         if own > max(rates.sumo_step, rates.driver_step) + 1e-6 and kind not in self._slow_types:
