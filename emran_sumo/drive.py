@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from emran_sumo.ego import COLUMNS, Ego, learning_state
+from emran_sumo.ego import COLUMNS, Ego
 from emran_sumo.errors import UserError
 from emran_sumo.faults import ControllerFault
 from emran_sumo.loop import AT, DIVERGED, PATH_ENDED
@@ -310,14 +310,13 @@ class Host:
 
 def _tell(recorder: Recorder, ego: Ego, before: np.ndarray | None, signals: Signals | None, in_traffic: bool) -> None:
     control, row = ego.control, ego.frames.last[-1]
-    aided = control.longitudinal.emran.authority > 0.0 or control.lateral.emran.authority > 0.0
     if before is None:
         first = ego.frames.last[0]
         recorder.event(first[AT.time], "INFO", f"{ego.name} taken over at {first[AT.speed_long]:.1f} m/s")
     stands = waiting.reason(ego.name) if ego.maneuver == "keep lane" and ego.speed < STANDS and in_traffic else ""
     if recorder.state(ego.time, "maneuver", stands or ego.maneuver) and stands:
         recorder.event(ego.time, "INFO", f"stands: {stands}")
-    recorder.state(ego.time, "learning", learning_state(ego.frames.last, before, aided))
+    recorder.state(ego.time, "learning", ego.learning(ego.frames.last, before))
     for event in ego.events[ego.told :]:
         recorder.event(*event)
     ego.told = len(ego.events)

@@ -40,6 +40,7 @@ NETWORK_COUNTS = slice(AT.grown_speed, AT.merged_steering + 1)
 SIGHT = 300.0  # m around the ego in which traffic is looked at
 AHEAD = 75.0  # m of path shown ahead of the ego
 NEAR_MISS = 1.0  # s time to collision
+SETTLED_AFTER = 1.0  # s without a sample that changes a network
 LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
@@ -108,6 +109,7 @@ class Ego:
         self.maneuver = scenario.track.maneuver if scenario.world == "track" else "keep lane"
         self.events: list[Event] = []
         self.told = 0  # events already recorded
+        self._learned = -math.inf  # s, when a sample last changed a network
         self.frames = Frames(len(COLUMNS))
         self.collided: dict[str, str] = {}  # with whom, and how
         self.lead = metrics.NO_LEAD
@@ -239,6 +241,15 @@ class Ego:
         self.frames.append(np.column_stack((rows, np.tile(extra, (len(rows), 1)))))
         return others
 
+    def learning(self, rows: np.ndarray, before: np.ndarray | None) -> str:
+        """Whether the networks learn during these rows: off, learning, settled; `before`: the row before them."""
+        if max(self.control.longitudinal.emran.authority, self.control.lateral.emran.authority) <= 0.0:
+            return "off"
+        counts = [AT.learned_speed, AT.learned_steering]
+        if (rows[-1, counts] > (rows[0] if before is None else before)[counts]).any():
+            self._learned = self.time
+        return "learning" if self.time - self._learned < SETTLED_AFTER else "settled"
+
     def reference_ahead(self) -> np.ndarray:
         """(n, 2) points of the path ahead."""
         first = int(self.state.position / self.path.spacing)
@@ -365,12 +376,3 @@ def _caps(path: Path, scenario: Scenario, share: float = 1.0, friction_share: fl
     """Speeds (n,) [m/s] that the bends of a path allow, with a share of the road's curve_accel and of its friction."""
     road = scenario.road
     return speed_cap(path, min(share * road.curve_accel, friction_share * road.friction * GRAVITY), road.curve_decel)
-
-
-def learning_state(rows: np.ndarray, before: np.ndarray | None, aided: bool) -> str:
-    """Whether the networks learned during these rows: off, learning or settled."""
-    if not aided:
-        return "off"
-    first = before if before is not None else rows[0]
-    grew = any(rows[-1, at] > first[at] for at in (AT.learned_speed, AT.learned_steering))
-    return "learning" if grew else "settled"

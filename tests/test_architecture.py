@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "emran_sumo"
 FLOORS = (
-    "__init__ kernels units errors locate shipped controllers print_style",
+    "__init__ kernels units errors locate shipped controllers print_style garbage",
     "plant path",
     "control",
     "loop conditioning frames reference",

@@ -16,6 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 import rerun_cli
 
+from test_recording import rows_of
+
 from emran_sumo import drive, locate, scenario
 from emran_sumo.controllers import CONTROLLERS
 from emran_sumo.drive import RunResult
@@ -95,6 +97,18 @@ def test_the_metrics_are_those_of_the_trace(first):
     assert told["safety"]["gap_min"] == (gaps.min() if gaps.size else None)
     assert told["run"]["mirror_error_max"] < 1e-3
     assert told["run"]["vehicles_mean"] > 150
+
+
+def test_learning_is_told_from_the_first_learned_sample_until_a_second_without_one(first):
+    trace = columns(first.folder)
+    learned = trace["learned_speed"] + trace["learned_steering"]
+    new = trace["time"][1:][np.diff(learned) > 0.0]
+    times, states = rows_of(first.recording, "/state/learning", "StateChange:state")
+    for instant in np.arange(0.5, trace["time"][-1], 0.05):
+        shown = states[np.searchsorted(times / 1e9, instant + 1e-6, side="right") - 1][0]
+        since = instant - new[new <= instant + 1e-6].max(initial=-np.inf)
+        if abs(since - 1.0) > 0.11:  # steps of SUMO's
+            assert shown == ("learning" if since < 1.0 else "settled"), instant
 
 
 def test_the_same_seed_gives_the_same_run_bit_for_bit(first, tmp_path):

@@ -396,6 +396,19 @@ def test_the_arrow_of_a_side_force_ends_at_the_side_it_pushes_and_goes_with_the_
     np.testing.assert_allclose(np.add(origin, vector)[:2], (0.0, EGO.width / 2), atol=1e-6)
 
 
+def test_a_word_beside_the_ego_tells_the_grade_to_half_a_percent_and_none_where_it_is_flat(recorded, trace):
+    times, words = rows_of(recorded, "/world/ego/grade", "Points3D:labels")
+    percent = 100.0 * np.tan(column(trace, "grade"))
+    assert (np.abs(percent) < 0.2).any()
+    assert percent.min() < -0.3 < 0.3 < percent.max()
+    for shown, true in zip(held(times, words, INSTANTS), percent, strict=True):
+        signed = 0.0
+        for word in shown or ():
+            way, number, _ = word.split()
+            signed = float(number) * {"uphill": 1.0, "downhill": -1.0}[way]
+        assert abs(signed - true) < 0.2501
+
+
 @pytest.mark.parametrize(("axle", "middle"), [("front", -10.0), ("rear", 10.0)])
 def test_tire_forces_and_their_circle_of_friction_times_load_are_those_of_the_trace(recorded, trace, axle, middle):
     times, vectors = rows_of(recorded, "/tires/forces", "Arrows2D:vectors")

@@ -30,7 +30,8 @@ def draw_ego(stream: Stream, ego: EgoShape) -> None:
     stream.static("/world/ego/brake_lights", _brake_lights(ego, middle))
     stream.static("/world/ego/side_force", rr.Arrows3D.from_fields(radii=0.25, colors=packed([RED])))
     word = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), colors=packed([LABEL]), show_labels=True)
-    stream.static("/world/ego/side_force/label", word)
+    for entity in ("side_force/label", "grade"):
+        stream.static(f"/world/ego/{entity}", word)
     marker = rr.Points3D([(0, 0, 0)], radii=rr.Radius.ui_points(6), colors=packed([PINK]))
     stream.static("/world/ego/marker", marker)
 

@@ -12,11 +12,12 @@ from emran_sumo.recording.stream import Changes, Stream, turns
 BRAKING = -100.0  # N m of wheel torque below which the brake lights shine
 FORCE_STEP = 100.0  # N: finer changes of a side force are not drawn
 FORCE_SCALE = 1.5e-3  # m of arrow per N
+GRADE_STEP, GRADE_PLACE = 0.5, (5.0, -3.0, 0.1)  # %: finer changes are not told; m, ahead of the ego on its right
 LOAD_STEP = 0.05  # kN
 TIRES_APART = 20.0  # kN between the middles of the front and the rear axle in their view
 AXLES = (("front", -0.5 * TIRES_APART, BLUE), ("rear", 0.5 * TIRES_APART, AMBER))
 # what is read of a row
-POSE = ("x", "y", "yaw", "reference_yaw", "steer", "torque", "force_external_lat", "friction")
+POSE = ("x", "y", "yaw", "reference_yaw", "steer", "torque", "force_external_lat", "friction", "grade")
 TIRE = ("force_long_{}", "force_lat_{}", "load_{}")
 
 
@@ -28,14 +29,14 @@ class EgoMotion:
         self._columns = [index(name) for name in POSE]
         self._tires = {axle: [index(name.format(axle)) for name in TIRE] for axle, *_ in AXLES}
         self._last_point: np.ndarray | None = None
-        self._brakes, self._force = Changes(), Changes()
+        self._brakes, self._force, self._grade = Changes(), Changes(), Changes()
         self._limits = {axle: Changes() for axle, *_ in AXLES}
         stream.static("/world/trail", rr.LineStrips3D.from_fields(radii=0.14, colors=packed([PINK])))
         _draw_tires(stream)
 
     def send(self, times: np.ndarray, rows: np.ndarray) -> None:
         """Send the rows (n, columns) at `times` (n,) [ms]."""
-        x, y, yaw, road_yaw, steer, torque, force, friction = rows[:, self._columns].T
+        x, y, yaw, road_yaw, steer, torque, force, friction, grade = rows[:, self._columns].T
         points = np.column_stack((x, y, np.zeros_like(x))).astype(np.float32)
         for entity, angle in (("/world/ego", yaw), ("/world/ego_frame", road_yaw)):
             self._stream.send(entity, times, rr.Transform3D.columns(translation=points, quaternion=turns(angle)))
@@ -44,6 +45,7 @@ class EgoMotion:
         self._send_trail(times, points)
         self._send_brakes(times, torque)
         self._send_force(times, force)
+        self._send_grade(times, grade)
         self._send_tires(times, rows, friction)
 
     def _send_trail(self, times: np.ndarray, points: np.ndarray) -> None:
@@ -76,6 +78,15 @@ class EgoMotion:
         self._stream.send("/world/ego/side_force", times[new], columns.partition(counts))
         words = rr.Points3D.columns(positions=origins, labels=[f"{abs(f) / 1e3:.1f} kN" for f in pushed])
         self._stream.send("/world/ego/side_force/label", times[new], words.partition(counts))
+
+    def _send_grade(self, times: np.ndarray, grade: np.ndarray) -> None:
+        """A word beside the ego where the road climbs or falls."""
+        percent = np.rint(100.0 * np.tan(grade) / GRADE_STEP) * GRADE_STEP
+        new = self._grade(percent)
+        steep = percent[new][percent[new] != 0.0]
+        words = [f"{'uphill' if p > 0.0 else 'downhill'} {abs(p):.1f} %" for p in steep]
+        columns = rr.Points3D.columns(positions=np.tile(GRADE_PLACE, (len(steep), 1)), labels=words)
+        self._stream.send("/world/ego/grade", times[new], columns.partition((percent[new] != 0.0).astype(int)))
 
     def _send_tires(self, times: np.ndarray, rows: np.ndarray, friction: np.ndarray) -> None:
         """One arrow per axle, left is left and ahead is up; and circles that grow with the load."""
