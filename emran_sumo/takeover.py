@@ -1,6 +1,7 @@
 """Which vehicles become egos, and when: stepping the world until the first is there, and those that come later."""
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 from emran_sumo.ego import Ego, fitted
@@ -12,9 +13,12 @@ from emran_sumo.scenario import Located
 from emran_sumo.selection import LONGEST, Selection
 from emran_sumo.user_code import Maker
 from emran_sumo.warm import Progress
+from emran_sumo.world.config import read_config
+from emran_sumo.world.routes import why_missing
 from emran_sumo.world.session import one_line
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
+from emran_sumo.world.wishes import decides_every
 
 WAIT_FOR_A_CAR = 3600.0  # s in which some car of a configuration must depart, where none is asked for
 WAIT_FOR_DEPARTURE = 300.0  # s after the warm-up in which the ego of a scenario must appear
@@ -38,6 +42,7 @@ class Takeovers:
     def __init__(self, world: World, located: Located, maker: Maker | None = None) -> None:
         self._world, self._located, self._maker = world, located, maker
         self.selection = Selection(located.values)
+        self._slow_types: set[str] = set()  # of which has been told
 
     def first(self, progress: Progress) -> dict[str, Driven]:
         """Step the world until the first ego is there."""
@@ -51,6 +56,7 @@ class Takeovers:
             if egos:
                 return egos
             if world.expected() == 0 or world.time > end:
+                self._explain_missing(world.time)
                 said = f" SUMO said: {one_line(world.last_message)}" if world.last_message else ""
                 raise UserError(
                     f"ego: {selection.words()} of {self._sources()} was not on the road when the warm-up ended or "
@@ -67,6 +73,18 @@ class Takeovers:
         if isinstance(world, TrackWorld) or self.selection.complete(count):
             return {}
         return self._chosen(world, world.departed(), count)
+
+    def _explain_missing(self, time: float) -> None:
+        """Refuse egos of a configuration for what its own files say about them, if they say anything."""
+        values = self._located.values
+        if not values.config:
+            return
+        config = read_config(self._located.folder / values.config)
+        listed = (config.options.get(key, "").split(",") for key in ("route-files", "additional-files"))
+        files = [Path(name) for names in listed for name in names if name]
+        for ego in self.selection.ids if files else ():
+            if why := why_missing(ego, files, config.begin, time):
+                raise UserError(why)
 
     def _sources(self) -> str:
         """The files that declare the vehicles."""
@@ -87,8 +105,18 @@ class Takeovers:
                 if length > LONGEST:
                     told = f"{name} is {length:g} m long and driven as one rigid body, which needs wide bends"
                     world.notes = (*world.notes, told)
+                self._tell_of_slower_decisions(world, name)
                 found[name] = self._take(name, fitted(vehicle, length, width), count + len(found))
         return found
+
+    def _tell_of_slower_decisions(self, world: SumoWorld, name: str) -> None:
+        """An ego decides in every step, whatever its type says."""
+        own, rates = decides_every(name), self._located.values.rates
+        told = f"{name} decides in each step; SUMO's own driver of its type does so every {own:g} s, and drives slower"
+        kind, _ = world.kind(name)
+        if own > max(rates.sumo_step, rates.driver_step) + 1e-6 and kind not in self._slow_types:
+            self._slow_types.add(kind)
+            world.notes = (*world.notes, told)
 
     def _take(self, name: str, vehicle: VehicleParams, index: int) -> Driven:
         own = self._maker() if self._maker is not None else None  # before the world knows: it may fail

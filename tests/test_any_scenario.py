@@ -337,6 +337,46 @@ def test_who_is_lost_where_no_car_can_turn_is_told_so(bench, radius, words):
     assert Ego.too_tight(cast(Any, car)) == words
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("early", "departs at 2 s, and SUMO leaves out who departs before the configuration's begin of 5 s"),
+        ("eerly", 'is declared in none of the files. .*"early"'),
+        ("many.9", "was not on the road"),  # of a flow: the files do not tell whether it ever comes
+    ],
+)
+def test_who_departs_before_the_begin_and_who_is_nowhere_have_sentences_of_their_own(tmp_path, name, words):
+    flow = '<flow id="many" begin="6" depart="6" end="7" number="1"><route edges="b1.b2 b2.b3"/></flow>'
+    early = vehicle("early", "b1.b2 b2.b3", 20, depart=2.0)
+    file = written(tmp_path / "user", [early, flow], '<time><begin value="5"/></time>')
+    with pytest.raises(UserError, match=words):
+        run(file, 10.0, name)
+
+
+def test_an_ego_whose_type_decides_less_often_than_each_step_is_told_of(tmp_path):
+    file = written(tmp_path / "user", [ego("c3.d3 d3.east3")])
+    assert "SUMO's own driver" not in " ".join(summary(run(file, 1.0, "ego"))["notes"])
+    cars = file.parent / "cars.rou.xml"
+    cars.write_text(cars.read_text().replace('id="mine"', 'id="mine" actionStepLength="1"'), encoding="utf-8")
+    assert "SUMO's own driver of its type does so every 1 s" in " ".join(summary(run(file, 1.0, "ego"))["notes"])
+
+
+@pytest.mark.parametrize(
+    ("vehicles", "most"),
+    [
+        ([ego("b2.c2 c2.c3", 1), *stream("w", "d2.c2 c2.b2", 6)], 0.45),
+        ([ego("west1.a1 a1.b1"), vehicle("n", "south_a.a1 a1.a2 a2.a3", 5, depart=1.7)], 1.7),
+    ],
+)
+def test_the_ego_goes_on_as_soon_as_who_crosses_is_past(tmp_path, vehicles, most):
+    """Waiting until the other has left the junction costs 0.2 to 0.5 s more."""
+    file = written(tmp_path / "user", vehicles)
+    own = native_way(file, 100.0).time[-1]
+    result = run(file, 100.0, "ego")
+    assert result.ended == "arrived", result.reason
+    assert result.metrics["run"]["simulated"] < own + most
+
+
 def test_without_cars_the_end_is_a_sentence_that_names_what_came(tmp_path):
     bus = vehicle("bus", "c3.d3 d3.east3", 20, kind="long")
     with pytest.raises(UserError, match=r"a passenger car of .* was not on the road .* of class bus; --ego takes"):

@@ -231,3 +231,23 @@ def test_a_packed_network_and_a_late_begin_are_read(tmp_path):
         assert world.time == pytest.approx(5.0)
         list(world.warm_up(3.0))
         assert world.present() == ("one",)
+
+
+def test_files_of_one_name_from_two_folders_stay_two(tmp_path):
+    """Copies of additional files, and what they and options have SUMO write."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        detector = f'<inductionLoop id="{name}" lane="fast_1" pos="9" period="9" file="out.xml"/>'
+        (tmp_path / name / "more.add.xml").write_text(f"<additional>{detector * 2}</additional>", encoding="utf-8")
+    files = '<additional-files value="a/more.add.xml,b/more.add.xml"/>'
+    outputs = '<fcd-output value="a/o.xml.gz"/><tripinfo-output value="b/o.xml.gz"/><queue-output value="a/o.xml.gz"/>'
+    folder = tmp_path / "run"
+    folder.mkdir()
+    file = configured(tmp_path, files + outputs + '<n v="line.net.xml"/><net-file value="line.net.xml"/>')
+    options = redirected(read_config(file), folder)
+    copies = [Path(name) for name in options["additional-files"].split(",")]
+    found = [{(e.get("id"), e.get("file")) for e in ET.parse(copy).getroot()} for copy in copies]
+    assert found[0] == {("a", "out.xml")}  # both of one file write into one
+    assert found[1] == {("b", "out-2.xml")}
+    written = [Path(options[f"{name}-output"]).name for name in ("fcd", "tripinfo", "queue")]
+    assert written == ["o.xml.gz", "o-2.xml.gz", "o.xml.gz"]

@@ -4,6 +4,8 @@ import math
 
 import libsumo
 
+from emran_sumo.world.crossings import is_past
+
 REACH = 100.0  # m ahead in which something to stop for is looked for
 WAIT_BEFORE = 0.4  # m before a place to wait inside a junction
 BEYOND, CREEPING = 0.8, 1.5  # m, m/s
@@ -89,15 +91,15 @@ def _to_wait_inside(ego: str, lane: str) -> float:
     if left > REACH_INSIDE:
         return math.inf
     if lane.startswith(":"):
-        if _is_just_beyond(ego, lane) and any(_is_driven_on(foe) for foe in libsumo.lane.getInternalFoes(lane)):
+        if _is_just_beyond(ego, lane) and _is_crossed(ego, lane):
             return 0.0
-        return left if _has_to_wait(lane) else math.inf
+        return left if _has_to_wait(ego, lane) else math.inf
     links = libsumo.vehicle.getNextLinks(ego)
     inside = links[0][4] if links else ""
-    return left + libsumo.lane.getLength(inside) if inside and _has_to_wait(inside) else math.inf
+    return left + libsumo.lane.getLength(inside) if inside and _has_to_wait(ego, inside) else math.inf
 
 
-def _has_to_wait(inside: str) -> bool:
+def _has_to_wait(ego: str, inside: str) -> bool:
     """Whether a lane inside a junction ends at a place to wait, and somebody has to be let pass there.
 
     A link is closed to whoever comes; those who are crossing have come, and are looked for on the lanes they cross.
@@ -106,12 +108,17 @@ def _has_to_wait(inside: str) -> bool:
     if not links or not links[0][4]:
         return False
     _, _, is_open, _, further, *_ = links[0]
-    return not is_open or any(_is_driven_on(foe) for foe in libsumo.lane.getInternalFoes(further))
+    return not is_open or _is_crossed(ego, further)
 
 
-def _is_driven_on(lane: str) -> bool:
+def _is_crossed(ego: str, lane: str) -> bool:
+    """Whether somebody is on the way across a lane inside a junction, and not past it with the whole body yet."""
     vehicle = libsumo.vehicle
-    return any(vehicle.getSpeed(name) > MOVING for name in libsumo.lane.getLastStepVehicleIDs(lane))
+    return any(
+        vehicle.getSpeed(name) > MOVING and not is_past(name, foe, lane, vehicle.getWidth(ego))
+        for foe in libsumo.lane.getInternalFoes(lane)
+        for name in libsumo.lane.getLastStepVehicleIDs(foe)
+    )
 
 
 def _is_just_beyond(ego: str, lane: str) -> bool:

@@ -12,6 +12,7 @@ from emran_sumo.world.records import Traffic
 CLOSE = 2.4  # m between the loop and the center of a lane from where two cars touch: two halves of them and some room
 ROOM = 0.4  # m beside the body that drives a loop
 FORESIGHT = 0.7  # s that others are looked ahead
+BESIDE = 0.5  # m between two bodies of which one lets the other pass
 
 
 class Crossing(NamedTuple):
@@ -97,3 +98,16 @@ def free_length(way: np.ndarray, width: float, traffic: Traffic) -> float:
         beside = np.maximum(np.abs(north * cosine - east * sine) - 0.5 * traffic.width, 0.0)
         met |= (np.hypot(beyond, beside) < 0.5 * width + ROOM).any(1)
     return float(along[np.argmax(met)]) if met.any() else math.inf
+
+
+def is_past(other: str, lane: str, own: str, width: float) -> bool:
+    """Whether a vehicle on a lane has come by another lane with its whole body.
+
+    What is left of its lane, from its rear bumper on, then stays clear of a body of some width [m] on lane `own`.
+    """
+    vehicle = libsumo.vehicle
+    rear = vehicle.getLanePosition(other) - vehicle.getLength(other)
+    line, way = (sampled(np.array(libsumo.lane.getShape(name))[:, :2], 0.5) for name in (lane, own))
+    left = line[int(max(rear, 0.0) / libsumo.lane.getLength(lane) * (len(line) - 1)) :]
+    near = 0.5 * (width + vehicle.getWidth(other)) + BESIDE
+    return bool(np.hypot(*(left[:, None] - way[None]).transpose(2, 0, 1)).min() > near)

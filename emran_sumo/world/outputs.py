@@ -1,5 +1,6 @@
 """What SUMO writes for a user's configuration, kept in the run's folder: the user's own stays as it is."""
 
+import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -22,21 +23,39 @@ NOWHERE = {"", "NUL", "nul", "/dev/null"}
 SWITCHES = {"true", "false", "1", "0"}  # of outputs that go to files named elsewhere
 
 
+class Names:
+    """Names in one folder for files of several: the same for one file, and never one for two."""
+
+    def __init__(self) -> None:
+        self._sources: dict[str, str] = {}
+
+    def of(self, source: Path | str, name: str) -> str:
+        """The name for a file, `name` itself where no other has it yet."""
+        source, stem, dot, ends = os.path.normpath(source), *name.partition(".")
+        count = 1
+        while self._sources.setdefault(name, source) != source:
+            count += 1
+            name = f"{stem}-{count}{dot}{ends}"
+        return name
+
+
 def redirected(config: SumoConfig, folder: Path) -> dict[str, str]:
     """The options with every output in `folder`, so that the user's own folder stays as it is.
 
     Files that say themselves what is written where are copied there first.
     """
-    options = dict(config.options)
+    options, names = dict(config.options), Names()
     for name, value in options.items():
         if (name.endswith("output") or name in OUTPUTS) and value not in NOWHERE:
-            options[name] = ",".join(str(folder.resolve() / _base(part)) for part in value.split(","))
+            options[name] = ",".join(
+                str(folder.resolve() / names.of(part.strip(), _base(part))) for part in value.split(",")
+            )
     if "save-state.times" in options or "save-state.period" in options:
         options.setdefault("save-state.prefix", str(folder.resolve() / "state"))
     for name in ("additional-files", "route-files", "net-file"):
         files = [Path(file) for file in options[name].split(",")] if name in options else []
         if files:
-            options[name] = ",".join(str(_copied(file, folder, name == "additional-files")) for file in files)
+            options[name] = ",".join(str(_copied(file, folder, name == "additional-files", names)) for file in files)
     return options
 
 
@@ -45,7 +64,7 @@ def _base(name: str) -> str:
     return name.strip().replace("\\", "/").rpartition("/")[2]
 
 
-def _copied(file: Path, folder: Path, additional: bool) -> Path:
+def _copied(file: Path, folder: Path, additional: bool, names: Names) -> Path:
     """A copy that writes into `folder`; the file itself where it writes nothing.
 
     SUMO puts what an additional file's elements write beside it, and what params name into the present folder.
@@ -63,14 +82,15 @@ def _copied(file: Path, folder: Path, additional: bool) -> Path:
         return file
     for element in root.iter():
         if _param_writes(element):
-            element.set("value", str(folder.resolve() / _base(element.get("value", ""))))
+            value = element.get("value", "")
+            element.set("value", str(folder.resolve() / names.of(value, _base(value))))
         for key in ("file", "dest", "href", "imgFile", "output"):
             value = element.get(key)
             if not value or value == "NUL":
                 continue
-            name = _base(value) if _writes(element, key) else str((file.parent / value.replace("\\", "/")).resolve())
-            element.set(key, name)
-    copy = folder.resolve() / f"{folder.name}.{file.name.removesuffix('.gz')}"
+            meant = file.parent / value.replace("\\", "/")
+            element.set(key, names.of(meant, _base(value)) if _writes(element, key) else str(meant.resolve()))
+    copy = folder.resolve() / names.of(file, f"{folder.name}.{file.name.removesuffix('.gz')}")
     ET.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
     return copy
 

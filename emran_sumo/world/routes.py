@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from emran_sumo.errors import UserError, nearest_name
+from emran_sumo.world.config import seconds
+from emran_sumo.world.files import content
 
 # params of a vehicle that declare its double lane change
 DOUBLE_LANE_CHANGE = tuple(f"double_lane_change.{key}" for key in ("start", "length_out", "length_back", "direction"))
@@ -59,6 +61,37 @@ def check_ego(ego: str, route_files: Sequence[Path]) -> None:
         names = ", ".join(str(file) for file in route_files)
         hint = nearest_name(ego, found) if found else "They declare no single vehicle."
         raise UserError(f'ego: found "{ego}", which is no vehicle of {names}. {hint}')
+
+
+def why_missing(ego: str, files: Sequence[Path], begin: float, time: float) -> str:
+    """Why a vehicle of a configuration is not on the road, as a sentence; "" where its files do not tell.
+
+    Args:
+        files: that may declare it; begin: of the configuration, time: until which it was waited for [s].
+    """
+    single: dict[str, str] = {}
+    flows: list[str] = []
+    for file in files:
+        try:
+            root = ET.fromstring(content(file))
+        except (ET.ParseError, OSError, EOFError):
+            return ""
+        single |= {e.get("id", ""): e.get("depart", "") for e in root.iter() if e.tag in ("vehicle", "trip")}
+        flows += [e.get("id", "") for e in root.iter("flow")]
+    if ego not in single:
+        if ego.rpartition(".")[0] in flows:
+            return ""
+        return f'ego: vehicle "{ego}" is declared in none of the files. {nearest_name(ego, [*single, *flows])}'
+    try:
+        depart = seconds(single[ego], files[0])
+    except UserError:  # "triggered" and the like
+        return ""
+    if depart < begin:
+        return (
+            f'ego: vehicle "{ego}" departs at {depart:g} s, and SUMO leaves out who departs before the '
+            f"configuration's begin of {begin:g} s; accepted is one that departs later."
+        )
+    return f'ego: vehicle "{ego}" departs after {time:g} s, at {depart:g} s.' if depart > time else ""
 
 
 def _check_params(ego: str, element: ET.Element) -> None:

@@ -20,6 +20,7 @@ from emran_sumo.world.routes import DOUBLE_LANE_CHANGE
 from emran_sumo.world.session import SUMO_ERRORS, told
 from emran_sumo.world.sight import Sight
 from emran_sumo.world.turning import Turning
+from emran_sumo.world.yielding import Yielding
 
 SIDE_STEP = 0.3  # m: more than a car moves sideways in one step
 LANE_CHANGE_OURS = 0  # setLaneChangeMode: SUMO neither changes the lane nor adapts the speed for a change
@@ -53,6 +54,7 @@ class SumoWorld:
         self._phantoms = Phantoms()
         self._passages = Passages()
         self._arrivals = Arrivals()
+        self._yielding = Yielding()
         self._held: dict[str, int] = {}
         self._searched: dict[str, str] = {}  # off-road egos and where they want to go
         self._fronts: dict[str, float] = {}
@@ -198,7 +200,7 @@ class SumoWorld:
         with told():
             known = {ego: pose for ego, pose in poses.items() if self.knows(ego)}
             obey = [ego for ego in known if not self._turning.is_under_way(ego)]
-            caps = {ego: braking.speed_cap(ego, self._lags[ego], self.step) for ego in obey}
+            caps = {ego: self._yielding.cap(ego, self._lags[ego], self.step) for ego in obey}
             for ego, pose in known.items():
                 ahead = max(pose.speed, 0.0) * self.step
                 x, y = pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw)
@@ -213,7 +215,7 @@ class SumoWorld:
         lane = self.lane_of(ego)
         if not lane:
             return Intent(libsumo.vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
-        speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
+        speed, change = self._yielding.obey(ego, braking.wish(ego, self.step), self.step), wishes.lane_change(ego)
         if self.map.has_loops:
             speed = self._turning.speed(ego, lane, present, speed, self.neighbors)
             if self._turning.is_under_way(ego):

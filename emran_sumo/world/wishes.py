@@ -43,3 +43,8 @@ def weigh_anew(ego: str) -> None:
     for wish in ("keepRightProbability", "speedGainProbabilityLeft", "speedGainProbabilityRight"):
         with contextlib.suppress(*SUMO_ERRORS):  # other lane change models have other names
             libsumo.vehicle.setParameter(ego, f"laneChangeModel.{wish}", "0")
+
+
+def decides_every(vehicle: str) -> float:
+    """Time between two decisions of SUMO's driver of a vehicle [s]."""
+    return libsumo.vehicle.getActionStepLength(vehicle)
