@@ -8,6 +8,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import maximum_filter1d
 
 from emran_sumo.path import Path, nearest, point_at, shifted, wrap
+from emran_sumo.world.drivable import drivable
 from emran_sumo.world.records import Pose
 
 SPACING = 0.25  # m between points of a path
@@ -18,6 +19,7 @@ LANE_TOLERANCE = 0.25  # m beside the center line of a lane
 JUNCTION_TOLERANCE = 0.6  # m inside junctions
 KINK = 0.6  # rad within 4 m: sharper than any lane is driven
 TIGHTEST = 6.0  # m, radius that a car can turn
+MOST = 1.0 / 4.5  # 1/m that a car of 5 m can steer, with some to spare
 ROUNDS = 20
 SHIFT_TURN = 0.35  # rad between two lanes that go on in the same direction
 SHIFT_ACCEL = 2.0  # m/s2 across, of a lane that goes on beside its end
@@ -82,7 +84,7 @@ def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) 
     return out
 
 
-def smooth_path(points: np.ndarray) -> Path:
+def smooth_path(points: np.ndarray, most: float = MOST) -> Path:
     """Path along a polyline (n, 4) of x, y, z and tolerance [m], without the corners of its vertices.
 
     The polyline is sampled every meter; the smoothed points p minimize
@@ -108,7 +110,8 @@ def smooth_path(points: np.ndarray) -> Path:
         # neighbors too: a single stiff point would only move the bulge
         weight *= np.clip(maximum_filter1d(excess, 7), 1.0, 10.0) ** 2
     curve = make_interp_spline(grid, smooth, k=5)
-    return _by_arc_length(curve, along[-1])
+    path, places = _by_arc_length(curve, along[-1])
+    return drivable(path, most, np.interp(places, grid, np.interp(grid, along, points[:, 3])))
 
 
 def _room_for_kinks(points: np.ndarray) -> np.ndarray:
@@ -194,7 +197,8 @@ def _quintic(u: np.ndarray, p0: float, v0: float, a0: float) -> tuple[np.ndarray
     return p(u), p.deriv()(u), p.deriv(2)(u)
 
 
-def _by_arc_length(curve, end: float) -> Path:
+def _by_arc_length(curve, end: float) -> tuple[Path, np.ndarray]:
+    """A path along a curve of u in [0, end], and u at its points."""
     u = np.linspace(0.0, end, int(end / SPACING) * 4 + 1)
     first = curve(u, 1)
     stretch = np.hypot(first[:, 0], first[:, 1])
@@ -206,4 +210,4 @@ def _by_arc_length(curve, end: float) -> Path:
     curvature = (d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / speed**3
     yaw = np.unwrap(np.arctan2(d1[:, 1], d1[:, 0]))
     grade = np.arctan(d1[:, 2] / speed)
-    return Path(p[:, 0].copy(), p[:, 1].copy(), yaw, curvature, grade, SPACING)
+    return Path(p[:, 0].copy(), p[:, 1].copy(), yaw, curvature, grade, SPACING), at
