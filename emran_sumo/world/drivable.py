@@ -22,13 +22,13 @@ DAMPING_LEAST, DAMPING_MOST = 1e-9, 1e9
 GAIN = 1e-4  # relative, below which a round is the last
 
 
-def drivable(path: Path, most: float, tolerance: np.ndarray | None = None) -> Path:
-    """The path with no more curvature than `most` [1/m] wherever that is possible.
+def drivable(path: Path, most: float, tolerance: np.ndarray | None = None, begin: int = 0) -> Path:
+    """The path with no more curvature than `most` [1/m] from its point `begin` on, wherever that is possible.
 
-    tolerance: how far the path may leave its way, (n,) [m]; the same everywhere where not given. Where the path bends
-    less it stays as it is, bitwise.
+    tolerance: how far the path may leave its way, (n,) [m]; the same everywhere where not given. A path that bends
+    less is returned as it is.
     """
-    sharp = np.flatnonzero(np.abs(path.curvature) > most)
+    sharp = begin + np.flatnonzero(np.abs(path.curvature[begin:]) > most)
     if not sharp.size:
         return path
     room = np.ones(path.x.size) if tolerance is None else np.maximum(tolerance, LEAST)
@@ -36,7 +36,7 @@ def drivable(path: Path, most: float, tolerance: np.ndarray | None = None) -> Pa
     # from the last to the first: what is replaced moves nothing before it
     for corner in reversed(np.split(sharp, apart)):
         margin = int(AROUND / path.spacing)
-        first, last = max(corner[0] - margin, 0), min(corner[-1] + margin, path.x.size - 1)
+        first, last = max(corner[0] - margin, begin), min(corner[-1] + margin, path.x.size - 1)
         last -= (last - first) % COARSE
         path, room = _replaced(path, room, first, last, _Corner(path, room, first, last, most).widened())
     return path
