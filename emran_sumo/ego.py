@@ -98,7 +98,9 @@ class Ego:
         pose = self._slowed(pose, _caps(path, scenario), path, guess)
         way = way_in(path, pose, guess)
         if way is not path:
-            pose = self._slowed(pose, _caps(way, scenario, *BLEND_SHARES), way, first_near(way, pose.x, pose.y, pose.yaw))
+            pose = self._slowed(
+                pose, _caps(way, scenario, *BLEND_SHARES), way, first_near(way, pose.x, pose.y, pose.yaw)
+            )
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
         self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
         self.take_path(path, way, bends=way is not path)

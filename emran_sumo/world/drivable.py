@@ -1,13 +1,12 @@
 """Corners sharper than a car can steer, widened as little as the car needs."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from emran_sumo.kernels import njit
 from emran_sumo.path import Path, hermite
+from emran_sumo.world.squares import normal_equations, solved
 
 AROUND = 20.0  # m on both sides of a corner in which the path may leave the lane for it
 TOGETHER = 24.0  # m between corners that are widened as one
@@ -71,7 +70,7 @@ class _Corner:
         for _ in range(ROUNDS):
             scale = np.diag(np.diag(now.matrix) + 1e-9)
             while damping < DAMPING_MOST:
-                step = _solved(now.matrix + damping * scale, now.downhill)
+                step = solved(now.matrix + damping * scale, now.downhill)
                 tried = self._weighed(at - step)
                 if tried.cost < now.cost:
                     break
@@ -112,7 +111,7 @@ class _Corner:
         residuals = np.concatenate((weight * beside, END_WEIGHT * np.array(ends)))
         slopes = (weight * east)[:, None] * dx + (weight * north)[:, None] * dy
         slopes = np.vstack((slopes, END_WEIGHT * dx[-1], END_WEIGHT * dy[-1], END_WEIGHT * dyaw))
-        matrix, downhill = _normal(slopes, residuals)
+        matrix, downhill = normal_equations(slopes, residuals)
         return _Normal(float((residuals * residuals).sum()) + self._steering(at, matrix, downhill), matrix, downhill)
 
     def _slopes(self, at: np.ndarray, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -176,48 +175,6 @@ class _Corner:
         east = np.where(near, -np.sin(self._yaw[k]), dx / np.maximum(distance, 1e-6))
         north = np.where(near, np.cos(self._yaw[k]), dy / np.maximum(distance, 1e-6))
         return distance, east, north, self._room[k]
-
-
-@njit
-def _normal(slopes, residuals):
-    """J^T J (n, n) and J^T r (n,) of slopes J (m, n) and residuals r (m,).
-
-    The threads of a BLAS, which wait for each other, cost far more than matrices of this size.
-    """
-    rows, n = slopes.shape
-    matrix, downhill = np.zeros((n, n)), np.zeros(n)
-    for k in range(rows):
-        for i in range(n):
-            if slopes[k, i] != 0.0:
-                downhill[i] += slopes[k, i] * residuals[k]
-                for j in range(i + 1):
-                    matrix[i, j] += slopes[k, i] * slopes[k, j]
-    for i in range(n):
-        for j in range(i):
-            matrix[j, i] = matrix[i, j]
-    return matrix, downhill
-
-
-@njit
-def _solved(matrix, right):
-    """x (n,) with A x = b of a positive definite A (n, n), by Cholesky's factors, which are left in A."""
-    n = right.size
-    x = right.copy()
-    for i in range(n):
-        for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = rest / matrix[j, j] if j < i else math.sqrt(max(rest, 1e-12))
-    for i in range(n):
-        for k in range(i):
-            x[i] -= matrix[i, k] * x[k]
-        x[i] /= matrix[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= matrix[k, i] * x[k]
-        x[i] /= matrix[i, i]
-    return x
 
 
 def _replaced(

@@ -196,8 +196,7 @@ def with_begin(path: Path, x: float, y: float) -> Path:
 
 
 def steered(path: Path, x: float, y: float, yaw: float) -> Path:
-    """The path without what a car cannot steer that is at (x, y) [m] on it, with `yaw` [rad]; it drives on from there.
-    """
+    """The path without what a car cannot steer that is at (x, y) [m] on it, with `yaw` [rad]."""
     return drivable(path, MOST, begin=int(first_near(path, x, y, yaw) / path.spacing))
 
 
