@@ -44,6 +44,7 @@ LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 TOO_FAST = 1.2  # times what the bends ahead allow
+IN_BEND = 0.02  # 1/m
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 BLEND_SHARES = (1.5, 0.6)  # of curve_accel and of the friction that the short ways from lane to lane may take
 
@@ -102,6 +103,10 @@ class Ego:
                 pose, _caps(way, scenario, *BLEND_SHARES), way, first_near(way, pose.x, pose.y, pose.yaw)
             )
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
+        bend = float(interpolate(way.curvature, way, first_near(way, pose.x, pose.y, pose.yaw)))
+        if abs(bend) > IN_BEND:  # who comes in a bend steers already
+            wheelbase, turns = vehicle.front_axle + vehicle.rear_axle, float(pose.speed) * bend
+            car = car._replace(steer=math.atan(wheelbase * bend), yaw_rate=turns, speed_lat=turns * vehicle.rear_axle)
         self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
         self.take_path(path, way, bends=way is not path)
         self.route_offset = handed.route_position - self.state.position
