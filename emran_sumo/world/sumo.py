@@ -59,6 +59,7 @@ class SumoWorld:
         self._widths: dict[str, float] = {}
         self._lags: dict[str, float] = {}
         self._routes: dict[str, str] = {}
+        self._wished_on: dict[str, str] = {}  # lane that a wish to change it was read on
         self.last_message = ""
         self._departed: dict[str, None] = {}
         self._collisions: dict[tuple[str, str], None] = {}
@@ -183,8 +184,11 @@ class SumoWorld:
         """Smooth path along the route from the ego's lane, or from the one beside (side +1 left, -1 right)."""
         lane = libsumo.vehicle.getLaneID(ego)
         if side != 0:
-            beside = None if lane.startswith(":") else self.map.neighbor(lane, side)
-            if beside is None:
+            # one that SUMO has put beside since then is meant by its wish no more
+            beside = (
+                None if lane.startswith(":") else self.map.neighbor(wishes.meant(self._wished_on.get(ego), lane), side)
+            )
+            if beside is None or beside == lane:
                 return None
             lane = beside
         return self.map.path(lane, tuple(libsumo.vehicle.getRoute(ego)), max(libsumo.vehicle.getRouteIndex(ego), 0))
@@ -213,7 +217,7 @@ class SumoWorld:
         lane = self.lane_of(ego)
         if not lane:
             return Intent(libsumo.vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
-        speed, change = braking.wish(ego, self.step), wishes.lane_change(ego)
+        speed, change, self._wished_on[ego] = braking.wish(ego, self.step), wishes.lane_change(ego), lane
         if self.map.has_loops:
             speed = self._turning.speed(ego, lane, present, speed, self.neighbors)
             if self._turning.is_under_way(ego):

@@ -38,6 +38,14 @@ def lane_change(ego: str) -> Wish:
     return Wish(0, needs_room, blocked)
 
 
+def meant(wished_on: str | None, lane: str) -> str:
+    """The lane from which a wish counts that was read on one lane, while SUMO has the ego on another by now: where a
+    path shifts from lane to lane behind a junction the nearest one changes."""
+    if wished_on is None or wished_on.rpartition("_")[0] != lane.rpartition("_")[0]:
+        return lane
+    return wished_on
+
+
 def weigh_anew(ego: str) -> None:
     """After a change of ours SUMO weighs its wishes from zero, as after its own: keeping right would go on and on."""
     for wish in ("keepRightProbability", "speedGainProbabilityLeft", "speedGainProbabilityRight"):
