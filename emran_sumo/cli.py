@@ -11,6 +11,7 @@ import typer
 
 from emran_sumo import cli_files, cli_study, cli_vehicle
 from emran_sumo.errors import Interrupted, UserError
+from emran_sumo.garbage import collect_rarely
 
 if TYPE_CHECKING:
     from emran_sumo.drive import RunResult
@@ -214,6 +215,7 @@ def _finish(result: "RunResult", recorded: bool, view: bool) -> None:
 def main() -> None:
     """Entry point: a user's mistake is one sentence and exit code 2."""
     signal.signal(signal.SIGTERM, _terminate)
+    collect_rarely()
     try:
         code = app(standalone_mode=False)  # what typer makes of Ctrl-C depends on its version
     except UserError as error:

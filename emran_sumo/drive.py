@@ -263,7 +263,7 @@ class Host:
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
         if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead(), self.active)
+            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead, self.active)
             _tell(self.recorder, ego, before, self._signals, isinstance(world, SumoWorld))
         if outcome is not None:
             self.outcomes[name] = outcome

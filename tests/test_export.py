@@ -17,7 +17,18 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
-from test_recording import QUIET, RERUN, drive, ego_trace, open_recorder, rerun, rows_of, static_text, traffic_at
+from test_recording import (
+    QUIET,
+    RERUN,
+    drive,
+    ego_trace,
+    no_path,
+    open_recorder,
+    rerun,
+    rows_of,
+    static_text,
+    traffic_at,
+)
 
 from emran_sumo import drive as driving
 from emran_sumo import found
@@ -218,7 +229,7 @@ def test_a_live_run_is_told_while_it_goes_on_and_its_file_survives_the_end_of_th
             listener.kill()
             listener.wait()
             for end in range(3005, len(trace) + 1, 5):
-                recorder.write(trace[end - 5 : end], traffic_at(end / 100, 20), np.zeros((0, 2)))
+                recorder.write(trace[end - 5 : end], traffic_at(end / 100, 20), no_path)
             recorder.close("done")
     finally:
         listener.kill()

@@ -130,6 +130,11 @@ def ego_trace(seconds: float, seed: int = 0) -> np.ndarray:
     return np.column_stack([values[column] for column in COLUMNS])
 
 
+def no_path() -> np.ndarray:
+    """Nothing ahead."""
+    return np.zeros((0, 2))
+
+
 def traffic_at(t: float, vehicles: int) -> Traffic:
     """Cars and trucks in three lanes, each with a speed that swings slowly about its lane's."""
     i = np.arange(vehicles)
@@ -206,7 +211,7 @@ def drive(recorder: Recorder, trace: np.ndarray, vehicles: int) -> None:
             recorder.network(now, "steering", network_at(now))
         for name, value in STATES.get(end, ()):
             recorder.state(now, name, value)
-        recorder.write(rows, traffic_at(now, vehicles), path_ahead(rows[-1]))
+        recorder.write(rows, traffic_at(now, vehicles), lambda rows=rows: path_ahead(rows[-1]))
 
 
 SUMMARY = """**Highway, 100 vehicles, seed 4: goal reached in 60 s, no collision.**
@@ -318,7 +323,7 @@ def test_an_instant_without_vehicles_clears_the_traffic(tmp_path):
     with open_recorder(tmp_path / "a.rrd") as recorder:
         for k, vehicles in enumerate((3, 0, 2)):
             rows = trace[5 * k : 5 * k + 5]
-            recorder.write(rows, traffic_at(0.0, vehicles), np.zeros((0, 2)))
+            recorder.write(rows, traffic_at(0.0, vehicles), no_path)
     _, centers = rows_of(tmp_path / "a.rrd", "/world/traffic", "Boxes3D:centers")
     assert [len(c) for c in centers] == [3, 3, 0, 2], "the first step twice: where the file opens, and at its end"
 
@@ -327,7 +332,7 @@ def test_other_egos_are_boxes_of_their_own_with_their_ids(tmp_path):
     trace = ego_trace(0.15)
     with open_recorder(tmp_path / "a.rrd") as recorder:
         for k, egos in enumerate(((), ("v1", "v7", "v2"), ("v1",))):
-            recorder.write(trace[5 * k : 5 * k + 5], traffic_at(0.0, 4), np.zeros((0, 2)), egos)
+            recorder.write(trace[5 * k : 5 * k + 5], traffic_at(0.0, 4), no_path, egos)
     then = traffic_at(0.0, 4)
     _, others = rows_of(tmp_path / "a.rrd", "/world/traffic", "Boxes3D:centers")
     assert [len(c) for c in others] == [4, 4, 2, 3]
@@ -603,7 +608,7 @@ def test_closing_twice_is_harmless_and_writing_afterwards_is_refused(tmp_path):
         recorder.close("done")
         recorder.close("done again")
         with pytest.raises(RuntimeError, match="the recording is closed"):
-            recorder.write(ego_trace(0.05), traffic_at(0.0, 1), np.zeros((2, 2)))
+            recorder.write(ego_trace(0.05), traffic_at(0.0, 1), no_path)
     assert static_text(tmp_path / "a.rrd")[-1] == "done"
 
 
@@ -673,7 +678,7 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
         "import test_recording as t\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))\n"
         "with t.open_recorder(t.Path(sys.argv[1])) as recorder:\n"
-        "    t.drive(recorder, t.ego_trace(9.0), 20)\n"
+        "    t.drive(recorder, t.ego_trace(13.0), 20)\n"
         "    print('driven', flush=True)\n"
         "    time.sleep(60)\n"
     )
@@ -697,7 +702,7 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
         killed, _ = rows_of(files[signal.SIGKILL], "/plots/ego", "trace:speed_long")
     with pytest.warns(RerunWarning, match="no footer"):
         summary = static_text(files[signal.SIGKILL])
-    assert killed[-1] == 8_000_000_000, "only what was held since the last chunk may be lost"
+    assert killed[-1] == 12_000_000_000, "only what was held since the last chunk may be lost"
     assert "not finished" in summary[-1]
     with pytest.warns(RerunWarning, match="no footer"):
         names, _ = arranged(files[signal.SIGKILL])
@@ -705,7 +710,7 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
 
     assert rerun("verify", files[signal.SIGTERM]) == 0
     terminated, _ = rows_of(files[signal.SIGTERM], "/plots/ego", "trace:speed_long")
-    assert terminated[-1] == 9_000_000_000
+    assert terminated[-1] == 13_000_000_000
     assert "stopped early by SystemExit 143" in static_text(files[signal.SIGTERM])[-1]
 
 
@@ -744,12 +749,12 @@ def test_a_simulated_minute_among_100_vehicles_stays_below_3_megabytes(recorded,
 
 
 def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
-    trace, held = ego_trace(24.0), []
+    trace, held = ego_trace(36.0), []
     scene = [(traffic_at(k / 20, 100), path_ahead(trace[5 * k])) for k in range(len(trace) // 5)]
     with open_recorder(tmp_path / "a.rrd") as recorder:
         tracemalloc.start()
         for k, (traffic, ahead) in enumerate(scene):
-            recorder.write(trace[5 * k : 5 * k + 5], traffic, ahead)
+            recorder.write(trace[5 * k : 5 * k + 5], traffic, lambda ahead=ahead: ahead)
             if (k + 1) % 80 == 0:
                 held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()  # only now: Rerun's own thread frees what was sent, and tracing must not end under it
@@ -758,8 +763,8 @@ def test_a_longer_drive_holds_no_more_memory_and_little_time(tmp_path):
     with open_recorder(tmp_path / "b.rrd") as recorder:
         start = time.process_time()
         for k, (traffic, ahead) in enumerate(scene):
-            recorder.write(trace[5 * k : 5 * k + 5], traffic, ahead)
-        spent = (time.process_time() - start) / 24.0
+            recorder.write(trace[5 * k : 5 * k + 5], traffic, lambda ahead=ahead: ahead)
+        spent = (time.process_time() - start) / 36.0
     assert spent < 0.02, f"{spent * 1e3:.1f} ms per simulated second"
 
 

@@ -1,5 +1,6 @@
 """What is inside the networks, looked at twice a second: centers in input space, widths, weights, covariance."""
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -13,10 +14,13 @@ from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH
 from emran_sumo.recording.stream import Stream, series
 
 INSIGHT_PERIOD = 500  # ms
-AT_ONCE = 16  # looks that are sent together: each sending costs as much as all its looks
+AT_ONCE = 24  # looks that are sent together: each sending costs as much as all its looks
 SHOWN = 16  # neurons of a network whose weights and widths are plotted
 GRAVITY = 9.81  # m/s2
 DRAWN = 0.2  # of its width is the radius of a neuron's sphere: whole ones would hide each other
+_STEERING = [AT.cross_track_error, AT.heading_error, AT.speed_lat, AT.yaw_rate]
+_SPEED = [AT.speed_reference, AT.accel_reference, AT.grade]
+_CAR, _POSITIVE, _NEGATIVE = (packed([color])[0] for color in (AMBER, GREEN, SLATE))
 COLORS = {"steering": VIOLET, "speed": TEAL}
 # the three inputs that span the view of each network; the fourth of the steering network, the yaw rate, is not shown
 AXES = {"steering": "cross-track error →, heading error ↑", "speed": "speed →, acceleration ↑"}
@@ -64,9 +68,16 @@ def steering_point(control: ControlParams, row: np.ndarray) -> np.ndarray:
     p = control.lateral
     if not p.feedforward:
         return row[[AT.y, AT.yaw, AT.speed_lat, AT.yaw_rate]]
-    cross_track = row[AT.cross_track_error] + p.reference_ahead * np.sin(row[AT.heading_error])
-    scales = np.array((p.cross_track_scale, p.heading_scale, p.speed_lat_scale, p.yaw_rate_scale))
-    return scales * (cross_track, row[AT.heading_error], row[AT.speed_lat], row[AT.yaw_rate])
+    cross_track, heading, speed_lat, yaw_rate = row[_STEERING].tolist()
+    cross_track += p.reference_ahead * math.sin(heading)
+    return np.array(
+        (
+            p.cross_track_scale * cross_track,
+            p.heading_scale * heading,
+            p.speed_lat_scale * speed_lat,
+            p.yaw_rate_scale * yaw_rate,
+        )
+    )
 
 
 def speed_point(control: ControlParams, row: np.ndarray) -> np.ndarray:
@@ -74,8 +85,8 @@ def speed_point(control: ControlParams, row: np.ndarray) -> np.ndarray:
     p = control.longitudinal
     if not p.feedforward:
         return row[[AT.path_position, AT.speed_long, AT.accel_long]]
-    scales = np.array((p.speed_scale, p.accel_scale, p.grade_scale))
-    return scales * (row[AT.speed_reference], row[AT.accel_reference], GRAVITY * np.sin(row[AT.grade]))
+    speed, accel, grade = row[_SPEED].tolist()
+    return np.array((p.speed_scale * speed, p.accel_scale * accel, p.grade_scale * GRAVITY * math.sin(grade)))
 
 
 def style_insights(stream: Stream) -> None:
@@ -89,27 +100,24 @@ def style_insights(stream: Stream) -> None:
 def send_insights(stream: Stream, network: str, times: np.ndarray, seen: list[Insight]) -> None:
     """Send one network at `times` (n,) [ms]: spheres about the centers, the last one where the car is, and the plotted
     numbers."""
-    centers = np.concatenate([np.vstack((one.centers, one.point))[:, :3] for one in seen])
-    radii = np.concatenate([np.append(DRAWN * one.widths, _point_size(one)) for one in seen])
-    colors = np.concatenate([np.append(_signs(one.weights), packed([AMBER])) for one in seen]).astype(np.uint32)
-    spheres = rr.Ellipsoids3D.columns(
-        centers=centers.astype(np.float32),
-        half_sizes=np.repeat(radii, 3).reshape(-1, 3).astype(np.float32),
-        colors=colors,
-    )
-    counts = [len(one.widths) + 1 for one in seen]
-    stream.send(f"/networks/{network}/centers", times, spheres.partition(counts))
+    weights, widths = (np.concatenate([getattr(one, name) for one in seen]) for name in ("weights", "widths"))
+    counts = np.array([len(one.widths) for one in seen])
+    neurons = np.ones(counts.sum() + len(seen), dtype=bool)
+    neurons[np.cumsum(counts + 1) - 1] = False  # the car
+    centers = np.concatenate([np.vstack((one.centers, one.point))[:, :3] for one in seen], dtype=np.float32)
+    radii = np.empty((len(neurons), 1), dtype=np.float32)
+    radii[neurons, 0], radii[~neurons, 0] = DRAWN * widths, [_point_size(one) for one in seen]
+    colors = np.full(len(neurons), _CAR, dtype=np.uint32)
+    colors[neurons] = np.where(weights >= 0.0, _POSITIVE, _NEGATIVE)
+    spheres = rr.Ellipsoids3D.columns(centers=centers, half_sizes=np.repeat(radii, 3, axis=1), colors=colors)
+    stream.send(f"/networks/{network}/centers", times, spheres.partition(counts + 1))
     columns = [
-        _column("weights", np.stack([_padded(one.weights) for one in seen])),
-        _column("widths", np.stack([_padded(one.widths) for one in seen])),
-        _column("covariance", np.array([[one.covariance] for one in seen])),
-        _column("share_learned", np.array([[100.0 * one.share] for one in seen])),
+        _column("weights", _padded(weights, counts)),
+        _column("widths", _padded(widths, counts)),
+        _column("covariance", np.array([one.covariance for one in seen])),
+        _column("share_learned", np.array([100.0 * one.share for one in seen])),
     ]
     stream.send(f"/plots/{network}_network", times, columns)
-
-
-def _signs(weights: np.ndarray) -> np.ndarray:
-    return np.where(weights >= 0.0, packed([GREEN]), packed([SLATE]))
 
 
 def _point_size(one: Insight) -> float:
@@ -117,10 +125,13 @@ def _point_size(one: Insight) -> float:
     return 0.5 * DRAWN * float(one.widths.mean()) if len(one.widths) else DRAWN
 
 
-def _padded(values: np.ndarray) -> np.ndarray:
-    """(SHOWN,) the first values, 0 where there are none: the viewer wants as many in every row."""
-    found = np.zeros(SHOWN)
-    found[: min(len(values), SHOWN)] = values[:SHOWN]
+def _padded(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """(n, SHOWN) the first of each row's `counts` values, 0 where there are none: the viewer wants as many in each."""
+    place = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
+    row = np.repeat(np.arange(len(counts)), counts)
+    found = np.zeros((len(counts), SHOWN))
+    few = place < SHOWN
+    found[row[few], place[few]] = values[few]
     return found
 
 

@@ -1,10 +1,10 @@
 """One run as one Rerun file: the road, the traffic, the ego, its plots, events and states, on one timeline.
 
-Rows are gathered and sent as columns every 8 s of simulated time, every 24 s after two minutes: memory stays flat, a
+Rows are gathered and sent as columns every 12 s of simulated time, every 24 s after two minutes: memory stays flat, a
 killed run loses at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -25,12 +25,14 @@ from emran_sumo.recording.vehicles import Vehicles
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
-CHUNK = 8000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
+CHUNK = 12_000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
 LIVE_CHUNK = 1000  # ms, where somebody watches
 LONG, LONG_CHUNK = 120_000, 24_000  # ms: after LONG; Rerun keeps 4 kB of each chunk until the file ends
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
+REFERENCE_LEVEL = 0.06  # m above the road
+_PARTS = np.arange(REFERENCE_POINTS)
 
 
 class Recorder:
@@ -118,13 +120,19 @@ class Recorder:
             self.close(f"**{self._name}**: stopped early by {kind.__name__} {error}".rstrip())
         self.close()
 
-    def write(self, trace_rows: np.ndarray, traffic: Traffic, reference: np.ndarray, egos: Iterable[str] = ()) -> None:
+    def write(
+        self,
+        trace_rows: np.ndarray,
+        traffic: Traffic,
+        reference: Callable[[], np.ndarray],
+        egos: Iterable[str] = (),
+    ) -> None:
         """Record one SUMO step.
 
         Args:
             trace_rows: (n, columns) rows of the ego in this step; the last is its pose at the step's end.
             traffic: everybody else at the instant of the last row.
-            reference: (m, 2) or (m, 3) points [m] of the path ahead; none where it has ended.
+            reference: gives (m, 2) or (m, 3) points [m] of the path ahead, none where it has ended; asked when drawn.
             egos: ids of those in the traffic that are egos of the run too.
         """
         if self._closed:
@@ -138,8 +146,8 @@ class Recorder:
         self._rows.append(rows)
         self._traffic.append((traffic, frozenset(egos)))
         if opening or now % REFERENCE_PERIOD == 0:
-            ahead = reference if len(reference) else rows[-1:, self._place]
-            self._references.append((shown, _thinned(ahead)))
+            ahead = reference()
+            self._references.append((shown, _thinned(ahead if len(ahead) else rows[-1:, self._place])))
         period = LIVE_CHUNK if self._live else CHUNK if now <= LONG else LONG_CHUNK
         if self._chunk is not None and now // period > self._chunk:
             self._flush()
@@ -260,8 +268,9 @@ class Recorder:
         self._motion.send(times, ends)
         if self._references:
             whens, strips = zip(*self._references, strict=True)
-            columns = rr.LineStrips3D.columns(strips=np.array(strips))
-            self._stream.send("/world/reference", np.array(whens), columns)
+            raised = np.full((len(strips), REFERENCE_POINTS, 3), REFERENCE_LEVEL, dtype=np.float32)
+            raised[..., :2] = strips
+            self._stream.send("/world/reference", np.array(whens), rr.LineStrips3D.columns(strips=raised))
         self._vehicles.send(times, traffic)
 
     def _describe(self, lane: str) -> None:
@@ -276,10 +285,6 @@ class Recorder:
         self._stream.static("/summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
-def _thinned(reference: np.ndarray) -> np.ndarray:
-    """(REFERENCE_POINTS, 3) of the points, first and last included, slightly above the road."""
-    points = np.asarray(reference, dtype=np.float64)
-    chosen = np.arange(REFERENCE_POINTS) * (len(points) - 1) // (REFERENCE_POINTS - 1)
-    raised = np.full((REFERENCE_POINTS, 3), 0.06, dtype=np.float32)
-    raised[:, :2] = points[chosen, :2]
-    return raised
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """(REFERENCE_POINTS, 2) of the points, first and last included."""
+    return points[_PARTS * (len(points) - 1) // (REFERENCE_POINTS - 1), :2]
