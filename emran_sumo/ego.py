@@ -18,7 +18,7 @@ from emran_sumo.plant.sensors import CHANNELS, noise_source
 from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.reference import SpeedReference
 from emran_sumo.scenario import Scenario
-from emran_sumo.world.lanes import speed_cap, way_in
+from emran_sumo.world.lanes import speed_cap, way_in, with_begin
 from emran_sumo.world.records import Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
@@ -45,6 +45,7 @@ LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
 TOO_FAST = 1.2  # times what the bends ahead allow
+IN_BEND = 0.02  # 1/m
 FRICTION_SHARE = 0.5  # of the friction that bends may take
 BLEND_SHARES = (1.5, 0.6)  # of curve_accel and of the friction that the short ways from lane to lane may take
 
@@ -91,16 +92,24 @@ class Ego:
         self.lane_width = handed.lane_width
         self.began_at = time
         pose = handed.pose
-        self.base = self.path = self.driven = handed.path
+        path = with_begin(handed.path, pose.x, pose.y)
+        self.base = self.path = self.driven = path
         self._origin = 0.0
-        guess = first_near(handed.path, pose.x, pose.y, pose.yaw)
+        guess = first_near(path, pose.x, pose.y, pose.yaw)
         # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
-        cap = float(interpolate(_caps(handed.path, scenario), handed.path, guess))
-        if pose.speed > TOO_FAST * cap:
-            pose = pose._replace(speed=cap)
+        pose = self._slowed(pose, _caps(path, scenario), path, guess)
+        way = way_in(path, pose, guess)
+        if way is not path:
+            pose = self._slowed(
+                pose, _caps(way, scenario, *BLEND_SHARES), way, first_near(way, pose.x, pose.y, pose.yaw)
+            )
         car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
+        bend = float(interpolate(way.curvature, way, first_near(way, pose.x, pose.y, pose.yaw)))
+        if abs(bend) > IN_BEND:  # who comes in a bend steers already
+            wheelbase, turns = vehicle.front_axle + vehicle.rear_axle, float(pose.speed) * bend
+            car = car._replace(steer=math.atan(wheelbase * bend), yaw_rate=turns, speed_lat=turns * vehicle.rear_axle)
         self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
-        self.take_path(handed.path, way_in(handed.path, pose, guess))
+        self.take_path(path, way, bends=way is not path)
         self.route_offset = handed.route_position - self.state.position
         self.control = scenario.control
         self.networks = blank_networks(self.control)
@@ -126,6 +135,12 @@ class Ego:
         self._noise = noise_source(scenario.seed, index)
         if pose.speed < handed.pose.speed:
             self.say("WARN", f"starts at {pose.speed:.1f} m/s in place of {handed.pose.speed:.1f}: a bend is ahead")
+
+    @staticmethod
+    def _slowed(pose: Pose, caps: np.ndarray, path: Path, position: float) -> Pose:
+        """The pose at the speed that the bends of a path allow at `position` [m] of it."""
+        cap = float(interpolate(caps, path, position))
+        return pose._replace(speed=cap) if pose.speed > TOO_FAST * cap else pose
 
     @property
     def pose(self) -> Pose:

@@ -174,16 +174,17 @@ def shifted(base: Path, offset: np.ndarray, offset_slope: np.ndarray, offset_ben
     if np.allclose(stretch, 1.0, atol=1e-12):
         return Path(x, y, yaw, curvature, base.grade, base.spacing)
     return Path(
-        _hermite(grid, length, x, np.cos(yaw)),
-        _hermite(grid, length, y, np.sin(yaw)),
-        _hermite(grid, length, yaw, curvature),
+        hermite(grid, length, x, np.cos(yaw)),
+        hermite(grid, length, y, np.sin(yaw)),
+        hermite(grid, length, yaw, curvature),
         resample(curvature),
         resample(base.grade),
         base.spacing,
     )
 
 
-def _hermite(grid: np.ndarray, knots: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def hermite(grid: np.ndarray, knots: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Values (m,) at `grid` of the cubics through `values` (n,) at `knots` (n,), with those slopes."""
     from scipy.interpolate import CubicHermiteSpline
 
     return CubicHermiteSpline(knots, values, slopes)(grid)

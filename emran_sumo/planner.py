@@ -12,7 +12,7 @@ from emran_sumo.errors import UserError
 from emran_sumo.loop import AT
 from emran_sumo.maneuver import DoubleLaneChange
 from emran_sumo.path import Path, Point, first_near, nearest, path_length, wrap
-from emran_sumo.world.lanes import blended
+from emran_sumo.world.lanes import blended, steered
 from emran_sumo.world.records import Intent, Others, TakeOver
 
 WAITING = "waiting for a gap"
@@ -212,6 +212,8 @@ class LaneFollower:
         if np.hypot(there.x - here.x, there.y - here.y) > 8.0:
             return False
         path = blended(target, ego.path, here.position, there.position, length)
+        if must:
+            path = steered(path, here.x, here.y, here.yaw)
         if not must and not (_goes_on(path, here) and ego.can_drive(path, length)):
             return False
         ego.take_path(target, path, bends=True)

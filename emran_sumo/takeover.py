@@ -43,6 +43,7 @@ class Takeovers:
         self._world, self._located, self._maker = world, located, maker
         self.selection = Selection(located.values)
         self._slow_types: set[str] = set()  # of which has been told
+        self._taken: set[str] = set()
 
     def first(self, progress: Progress) -> dict[str, Driven]:
         """Step the world until the first ego is there."""
@@ -96,11 +97,14 @@ class Takeovers:
         vehicle, selection = self._located.values.vehicle, self.selection
         found: dict[str, Driven] = {}
         for name in (*candidates, *selection.waiting):
+            if name in self._taken:  # SUMO tells of a departure in both halves of a split step
+                continue
             if not world.lane_of(name):  # it departs from a parking area
                 selection.waiting[name] = None
                 continue
             selection.waiting.pop(name, None)
             if selection.chooses(world, name):
+                self._taken.add(name)
                 length, width, _ = world.size(name)
                 if length > LONGEST:
                     told = f"{name} is {length:g} m long and driven as one rigid body, which needs wide bends"

@@ -7,7 +7,8 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
 from scipy.ndimage import maximum_filter1d
 
-from emran_sumo.path import Path, nearest, point_at, shifted, wrap
+from emran_sumo.path import Path, first_near, nearest, point_at, shifted, wrap
+from emran_sumo.world.drivable import drivable
 from emran_sumo.world.records import Pose
 
 SPACING = 0.25  # m between points of a path
@@ -18,10 +19,12 @@ LANE_TOLERANCE = 0.25  # m beside the center line of a lane
 JUNCTION_TOLERANCE = 0.6  # m inside junctions
 KINK = 0.6  # rad within 4 m: sharper than any lane is driven
 TIGHTEST = 6.0  # m, radius that a car can turn
+MOST = 1.0 / 4.5  # 1/m that a car of 5 m can steer, with some to spare
 ROUNDS = 20
 SHIFT_TURN = 0.35  # rad between two lanes that go on in the same direction
 SHIFT_ACCEL = 2.0  # m/s2 across, of a lane that goes on beside its end
-BESIDE_PATH = 0.3  # m beside the path from where a vehicle is led to it
+BESIDE_PATH, TURNED = 0.3, 0.1  # m, rad, beside the path and against it from where a vehicle is led to it
+BEHIND = 10.0  # m of path behind a car that stands before the begin of its lane
 WAY_IN_ACCEL, LEAST_WAY_IN = 1.5, 8.0  # m/s2 across, m
 SHIFT_LEAST, SHIFT_MOST = 0.4, 4.0  # m
 
@@ -60,7 +63,7 @@ def shift_between(before: np.ndarray, after: np.ndarray) -> float:
     return float(across @ (after[0, :2] - before[-1, :2]))
 
 
-def _shift_length(height: float, accel: float, speed: float) -> float:
+def shift_length(height: float, accel: float, speed: float) -> float:
     """Length [m] of a lateral move by `height` [m] at `speed` [m/s] with at most `accel` [m/s2] across.
 
     A quintic of length L and height h has the curvature 5.77 h / L^2 at the most.
@@ -74,7 +77,7 @@ def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) 
     A lane that goes on a lane's width beside its end is drawn by the network as a kink: here it is moved to like a lane
     change.
     """
-    length = _shift_length(abs(shift), SHIFT_ACCEL, speed)
+    length = shift_length(abs(shift), SHIFT_ACCEL, speed)
     distance = np.hypot(*(points[:, :2] - place).T)
     out = points.copy()
     near = distance < 0.5 * max(length, 10.0)
@@ -82,7 +85,7 @@ def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) 
     return out
 
 
-def smooth_path(points: np.ndarray) -> Path:
+def smooth_path(points: np.ndarray, most: float = MOST) -> Path:
     """Path along a polyline (n, 4) of x, y, z and tolerance [m], without the corners of its vertices.
 
     The polyline is sampled every meter; the smoothed points p minimize
@@ -108,7 +111,8 @@ def smooth_path(points: np.ndarray) -> Path:
         # neighbors too: a single stiff point would only move the bulge
         weight *= np.clip(maximum_filter1d(excess, 7), 1.0, 10.0) ** 2
     curve = make_interp_spline(grid, smooth, k=5)
-    return _by_arc_length(curve, along[-1])
+    path, places = _by_arc_length(curve, along[-1])
+    return drivable(path, most, np.interp(places, grid, np.interp(grid, along, points[:, 3])))
 
 
 def _room_for_kinks(points: np.ndarray) -> np.ndarray:
@@ -172,10 +176,28 @@ def way_in(path: Path, pose: Pose, guess: float) -> Path:
     """The path, reached by a lateral move where SUMO has the vehicle beside it, as where lanes do not meet."""
     here = nearest(path, pose.x, pose.y, guess)
     beside = math.hypot(here.x - pose.x, here.y - pose.y)
-    if beside < BESIDE_PATH:
+    if beside < BESIDE_PATH and abs(float(wrap(here.yaw - pose.yaw))) < TURNED:
         return path
-    length = _shift_length(beside, WAY_IN_ACCEL, pose.speed)
-    return reached(path, pose.x, pose.y, pose.yaw, here.position, max(length, LEAST_WAY_IN))
+    length = max(shift_length(beside, WAY_IN_ACCEL, pose.speed), LEAST_WAY_IN)
+    return steered(reached(path, pose.x, pose.y, pose.yaw, here.position, length), pose.x, pose.y, pose.yaw)
+
+
+def with_begin(path: Path, x: float, y: float) -> Path:
+    """The path, led back straight on where a car at (x, y) [m] is behind its begin: a lane has nothing before it that
+    leads there, and SUMO puts a front bumper on its first meters."""
+    behind = (path.x[0] - x) * math.cos(path.yaw[0]) + (path.y[0] - y) * math.sin(path.yaw[0])
+    if not 0.0 < behind < BEHIND or math.hypot(path.x[0] - x, path.y[0] - y) > BEHIND:
+        return path
+    back = -path.spacing * np.arange(int((behind + BEHIND) / path.spacing), 0, -1)
+    before = (path.x[0] + back * math.cos(path.yaw[0]), path.y[0] + back * math.sin(path.yaw[0]))
+    flat = np.zeros_like(back)
+    columns = (*before, flat + path.yaw[0], flat, flat + path.grade[0])
+    return Path._make([*(np.concatenate(pair) for pair in zip(columns, path[:5], strict=True)), path.spacing])
+
+
+def steered(path: Path, x: float, y: float, yaw: float) -> Path:
+    """The path without what a car cannot steer that is at (x, y) [m] on it, with `yaw` [rad]."""
+    return drivable(path, MOST, begin=int(first_near(path, x, y, yaw) / path.spacing))
 
 
 def reached(path: Path, x: float, y: float, yaw: float, position: float, length: float) -> Path:
@@ -194,7 +216,8 @@ def _quintic(u: np.ndarray, p0: float, v0: float, a0: float) -> tuple[np.ndarray
     return p(u), p.deriv()(u), p.deriv(2)(u)
 
 
-def _by_arc_length(curve, end: float) -> Path:
+def _by_arc_length(curve, end: float) -> tuple[Path, np.ndarray]:
+    """A path along a curve of u in [0, end], and u at its points."""
     u = np.linspace(0.0, end, int(end / SPACING) * 4 + 1)
     first = curve(u, 1)
     stretch = np.hypot(first[:, 0], first[:, 1])
@@ -206,4 +229,4 @@ def _by_arc_length(curve, end: float) -> Path:
     curvature = (d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / speed**3
     yaw = np.unwrap(np.arctan2(d1[:, 1], d1[:, 0]))
     grade = np.arctan(d1[:, 2] / speed)
-    return Path(p[:, 0].copy(), p[:, 1].copy(), yaw, curvature, grade, SPACING)
+    return Path(p[:, 0].copy(), p[:, 1].copy(), yaw, curvature, grade, SPACING), at

@@ -149,10 +149,9 @@ class RoadMap:
     def _chain(self, lane: str, route: tuple[str, ...], index: int) -> tuple[str, ...]:
         """Lane ids from the lane before `lane` to the end of the route, or as far as lanes connect."""
         ahead = self._ahead(lane, route, index)
-        before: list[str] = []
-        if not lane.startswith(":") and index > 0:
-            before = self._before(lane, route[index - 1])
-        return (*before, *ahead)
+        if lane.startswith(":"):
+            return (*self._before_inside(lane, route[index]), *ahead)
+        return (*(self._before(lane, route[index - 1]) if index > 0 else ()), *ahead)
 
     def _ahead(self, lane: str, route: tuple[str, ...], index: int) -> list[str]:
         """The chain that follows the route farthest; of equal ones the one with the fewest turns of lane."""
@@ -203,6 +202,15 @@ class RoadMap:
             for link in libsumo.lane.getLinks(name):
                 if link[0] == lane:
                     return [name, *inside(link[4])]
+        return []
+
+    def _before_inside(self, internal: str, edge: str) -> list[str]:
+        """What of `edge` and of the junction behind it leads to a lane inside that junction."""
+        for k in range(libsumo.edge.getLaneNumber(edge)):
+            for link in libsumo.lane.getLinks(f"{edge}_{k}"):
+                lanes = inside(link[4])
+                if internal in lanes:
+                    return [f"{edge}_{k}", *lanes[: lanes.index(internal)]]
         return []
 
     def neighbor(self, lane: str, side: int) -> str | None:

@@ -61,6 +61,7 @@ class SumoWorld:
         self._widths: dict[str, float] = {}
         self._lags: dict[str, float] = {}
         self._routes: dict[str, str] = {}
+        self._wished_on: dict[str, str] = {}  # lane that a wish to change it was read on
         self.last_message = ""
         self._departed: dict[str, None] = {}
         self._collisions: dict[tuple[str, str], None] = {}
@@ -185,10 +186,9 @@ class SumoWorld:
         """Smooth path along the route from the ego's lane, or from the one beside (side +1 left, -1 right)."""
         lane = libsumo.vehicle.getLaneID(ego)
         if side != 0:
-            beside = None if lane.startswith(":") else self.map.neighbor(lane, side)
-            if beside is None:
+            lane = wishes.meant(self.map, self._wished_on.get(ego) or lane, lane, side)
+            if not lane:
                 return None
-            lane = beside
         return self.map.path(lane, tuple(libsumo.vehicle.getRoute(ego)), max(libsumo.vehicle.getRouteIndex(ego), 0))
 
     def propose(self, poses: dict[str, Pose]) -> dict[str, Intent]:
@@ -216,6 +216,7 @@ class SumoWorld:
         if not lane:
             return Intent(libsumo.vehicle.getSpeed(ego) if self.knows(ego) else 0.0)
         speed, change = self._yielding.obey(ego, braking.wish(ego, self.step), self.step), wishes.lane_change(ego)
+        self._wished_on[ego] = lane
         if self.map.has_loops:
             speed = self._turning.speed(ego, lane, present, speed, self.neighbors)
             if self._turning.is_under_way(ego):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import libsumo
 
+from emran_sumo.world.roadmap import RoadMap
 from emran_sumo.world.session import SUMO_ERRORS
 
 LEFT, RIGHT = 2, 4  # bits of a lane change wish
@@ -36,6 +37,18 @@ def lane_change(ego: str) -> Wish:
         needs_room |= bool(state & STRATEGIC)
         blocked = side
     return Wish(0, needs_room, blocked)
+
+
+def meant(road: RoadMap, wished_on: str, lane: str, side: int) -> str:
+    """The lane at a side of the one that a wish was read on; "" where there is none, or SUMO has the ego there by now.
+
+    Where a path shifts from lane to lane behind a junction the nearest lane changes between reading and planning.
+    """
+    if lane.startswith(":"):
+        return ""
+    same_edge = wished_on.rpartition("_")[0] == lane.rpartition("_")[0]
+    beside = road.neighbor(wished_on if same_edge else lane, side)
+    return beside if beside is not None and beside != lane else ""
 
 
 def weigh_anew(ego: str) -> None:
