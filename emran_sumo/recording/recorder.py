@@ -1,7 +1,7 @@
 """One run as one Rerun file: the road, the traffic, the ego, its plots, events and states, on one timeline.
 
-Rows are gathered and sent as columns every 12 s of simulated time, every 24 s after two minutes: memory stays flat, a
-killed run loses at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
+Rows are gathered and sent as columns every 24 s of simulated time: memory stays flat, a killed run loses at most the
+last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,9 +25,10 @@ from emran_sumo.recording.vehicles import Vehicles
 from emran_sumo.recording.watch import Limits, Watch
 from emran_sumo.world.records import Road, Traffic
 
-CHUNK = 12_000  # ms of simulated time per chunk: each costs as much as two seconds of what is in it
+# ms of simulated time per chunk: each costs as much as two seconds of what is in it, and Rerun keeps 4 kB of each
+# until the file ends
+CHUNK = 24_000
 LIVE_CHUNK = 1000  # ms, where somebody watches
-LONG, LONG_CHUNK = 120_000, 24_000  # ms: after LONG; Rerun keeps 4 kB of each chunk until the file ends
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
@@ -148,7 +149,7 @@ class Recorder:
         if opening or now % REFERENCE_PERIOD == 0:
             ahead = reference()
             self._references.append((shown, _thinned(ahead if len(ahead) else rows[-1:, self._place])))
-        period = LIVE_CHUNK if self._live else CHUNK if now <= LONG else LONG_CHUNK
+        period = LIVE_CHUNK if self._live else CHUNK
         if self._chunk is not None and now // period > self._chunk:
             self._flush()
         self._chunk = now // period
