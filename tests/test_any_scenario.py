@@ -1,6 +1,7 @@
 """Somebody else's SUMO configuration, driven: where SUMO stops the ego stops, and every end has its sentence."""
 
 import json
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
@@ -16,8 +17,10 @@ from emran_sumo.drive import RunResult
 from emran_sumo.ego import COLUMNS, Ego, fitted
 from emran_sumo.errors import UserError
 from emran_sumo.opening import opening
+from emran_sumo.path import point_at
 from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.world import waiting
+from emran_sumo.world.records import Pose, TakeOver
 from emran_sumo.world.sumo import SumoWorld
 
 TYPES = """\
@@ -303,6 +306,34 @@ def test_a_share_is_taken_of_those_that_depart_on_the_way_too(tmp_path):
     cars = [vehicle(f"c{k}", "b1.b2 b2.b3", 20, "10", depart=3.0 * k) for k in range(5)]
     told = summary(run(written(tmp_path / "user", cars), 15.0, egos__penetration=1.0))
     assert set(told["egos"]) == {f"c{k}" for k in range(5)}
+
+
+def test_who_departs_while_others_are_driven_is_taken_over_once(tmp_path, monkeypatch):
+    taken, original = [], SumoWorld.take_over
+
+    def take_over(world, name, *given):
+        taken.append(name)
+        return original(world, name, *given)
+
+    monkeypatch.setattr(SumoWorld, "take_over", take_over)
+    cars = [vehicle(f"c{k}", "b1.b2 b2.b3", 20, "10", depart=2.0 * k) for k in range(3)]
+    run(written(tmp_path / "user", cars), 6.0, egos__penetration=1.0)
+    assert taken == ["c0", "c1", "c2"]
+
+
+@pytest.mark.parametrize("radius", [12.0, -9.0])
+def test_who_is_taken_over_in_a_bend_steers_already(bench, radius):
+    """With straight wheels it takes the steering's rate, 0.2 to 0.4 s, until the car turns as the bend does."""
+    values = scenario.load("town").values
+    road = bench.circle(radius, 60.0)
+    at = point_at(road, 10.0)
+    handed = TakeOver(Pose(at.x, at.y, at.yaw, 4.0, 0.0), road, 3.2, 0, 0, {}, 0.0, 50.0)
+    found = Ego("ego", values, values.vehicle, handed, 0.0).state.vehicle
+    assert found.yaw_rate == pytest.approx(4.0 / radius, rel=0.01)
+    # the rear axle does not slip
+    assert found.speed_lat == pytest.approx(found.yaw_rate * values.vehicle.rear_axle)
+    wheelbase = values.vehicle.front_axle + values.vehicle.rear_axle
+    assert math.tan(found.steer) == pytest.approx(wheelbase / radius, rel=0.01)
 
 
 def test_the_reference_comes_to_the_limit_without_swing_or_dawdling(tmp_path):

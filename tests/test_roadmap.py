@@ -1,9 +1,11 @@
 """Paths on networks as they come: jumps at junctions become lane changes, turns stay turns, lanes are kept."""
 
+import libsumo
 import numpy as np
 import pytest
 
 from emran_sumo import locate
+from emran_sumo.world import wishes
 from emran_sumo.world.lanes import LANE_TOLERANCE, joined, loosened, shift_between, smooth_path, speed_cap
 from emran_sumo.world.lanes import dense as with_points
 from emran_sumo.world.session import scenario_options
@@ -83,3 +85,28 @@ def test_neighbors_are_on_the_same_edge(blocks):
     assert blocks.map.neighbor("b2.c2_0", 1) == "b2.c2_1"
     assert blocks.map.neighbor("b2.c2_0", -1) is None
     assert blocks.map.neighbor("b2.c2_1", 1) is None
+
+
+def test_a_path_from_inside_a_junction_begins_on_the_edge_before_it(blocks):
+    whole = blocks.map.path("a1.b1_0", ROUTE, 1)
+    inside = next(link[4] for link in libsumo.lane.getLinks("a1.b1_0") if link[0].startswith("b1.b2"))
+    path = blocks.map.path(inside, ROUTE, 1)
+    x, y, _ = blocks.map.shape("a1.b1_0")[-1]
+    assert np.hypot(path.x - x, path.y - y).argmin() * path.spacing > 50.0, "the lane before the junction"
+    there = np.hypot(whole.x[:, None] - path.x[::40], whole.y[:, None] - path.y[::40]).min(axis=0)
+    assert there.max() < 0.2, "and the same way as from that lane"
+
+
+@pytest.mark.parametrize(
+    ("wished_on", "lane", "side", "meant"),
+    [
+        ("a2.b2_0", "a2.b2_0", 1, "a2.b2_1"),
+        ("a2.b2_0", "a2.b2_1", 1, ""),  # SUMO has it there by now
+        ("a2.b2_1", "a2.b2_0", 1, ""),  # no lane on the left of the one it was read on
+        ("b2.c2_0", "a2.b2_0", 1, "a2.b2_1"),  # read on another edge: counts from where the ego is
+        (":a1_0_0", ":a1_0_0", 1, ""),
+    ],
+)
+def test_a_wish_is_for_the_lane_beside_the_one_it_was_read_on(blocks, wished_on, lane, side, meant):
+    assert libsumo.edge.getLaneNumber("a2.b2") == 2
+    assert wishes.meant(blocks.map, wished_on, lane, side) == meant
