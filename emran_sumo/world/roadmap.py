@@ -236,7 +236,7 @@ def _heights(lane: str, line: np.ndarray) -> list[float]:
     """Heights [m] of the points (n, 2) of a lane, which SUMO leaves out of its shape; 0 in a flat network."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     edge, _, index = lane.rpartition("_")
-    places = along * libsumo.lane.getLength(lane) / max(along[-1], 1e-9)
+    places = along / max(along[-1], 1e-9) * libsumo.lane.getLength(lane)  # the last is the length, to the last bit
     points = (libsumo.simulation.convert3D(edge, float(place), int(index)) for place in places)
     return [point[2] if len(point) > 2 else 0.0 for point in points]
 
