@@ -30,7 +30,7 @@ from emran_sumo.user_code import maker as maker_of
 from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world import waiting
 from emran_sumo.world.native import Native, watch
-from emran_sumo.world.persons import Persons, joined
+from emran_sumo.world.persons import SHOWN, Persons, joined
 from emran_sumo.world.records import NOBODY
 from emran_sumo.world.signals import Signals, stop_lines
 from emran_sumo.world.sumo import SumoWorld
@@ -259,14 +259,16 @@ class Host:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY
         before = ego.frames.last[-1] if len(ego.frames.last) else None
-        persons = self._persons.around(ego.pose.x, ego.pose.y) if self._persons else NOBODY
+        is_drawn = self.recorder is not None and name == self.shown
+        reach = SHOWN if is_drawn else ego.vehicle.length + ego.vehicle.width
+        persons = self._persons.around(ego.pose.x, ego.pose.y, reach) if self._persons else NOBODY
         others = ego.observe(traffic, error if lane else math.nan, rows, persons)
         outcome = self._outcome(ego, error, lane)
         if outcome is None and lane:
             if isinstance(world, SumoWorld) and world.rerouted(name):
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
-        if self.recorder is not None and name == self.shown:
+        if self.recorder is not None and is_drawn:
             self.recorder.write(ego.frames.last, joined(traffic, persons), ego.reference_ahead, self.active)
             _tell(self.recorder, ego, before, self._signals, isinstance(world, SumoWorld))
         if outcome is not None:

@@ -5,7 +5,7 @@ import numpy as np
 
 from emran_sumo.world.records import NOBODY, Traffic
 
-DISTANCE = 100.0  # m around the ego in which persons are looked at
+SHOWN = 100.0  # m around the ego in which persons are drawn
 
 
 class Persons:
@@ -22,12 +22,12 @@ class Persons:
         self._sizes: dict[str, tuple[float, float, float]] = {}
         self._stages: dict[str, tuple[int, bool]] = {}  # stages left, whether the present one is a walk
 
-    def around(self, x: float, y: float) -> Traffic:
-        """Persons within 100 m of a place [m], each named "person <id>"."""
+    def around(self, x: float, y: float, distance: float) -> Traffic:
+        """Persons within a distance [m] east or west and north or south of a place, each named "person <id>"."""
         if not libsumo.person.getIDCount():
             return NOBODY
         self._look()
-        near = np.flatnonzero(np.abs(self._places - (x, y)).max(axis=1) < DISTANCE)
+        near = np.flatnonzero(np.abs(self._places - (x, y)).max(axis=1) < distance)
         found = [(k, name) for k in near if self._walks(name := self._ids[k])]
         if not found:
             return NOBODY
@@ -36,6 +36,7 @@ class Persons:
         yaw, speed = np.array([(person.getAngle(name), person.getSpeed(name)) for _, name in found]).T
         length, width, height = np.array([self._size(name) for _, name in found]).T
         yaw = np.radians(90.0 - yaw)
+        # as of a vehicle, the place is that of the front
         x_center, y_center = places[:, 0] - 0.5 * length * np.cos(yaw), places[:, 1] - 0.5 * length * np.sin(yaw)
         names = tuple(f"person {name}" for _, name in found)
         return Traffic(names, x_center, y_center, yaw, length, width, height, speed)
