@@ -151,9 +151,13 @@ def test_an_output_that_cannot_be_written_is_told_and_nothing_is_left(run, tmp_p
     assert {file.name for file in tmp_path.iterdir()} == {"taken", "file"}
 
 
-@pytest.mark.parametrize(("kind", "name"), [("png", "x.csv"), ("mp4", "x.txt"), ("csv", "x.csv.gz"), ("parquet", "x.png")])
+@pytest.mark.parametrize(
+    ("kind", "name"), [("png", "x.csv"), ("mp4", "x.txt"), ("csv", "x.csv.gz"), ("parquet", "x.png")]
+)
 def test_no_file_gets_the_ending_of_another_kind(run, tmp_path, kind, name):
-    with pytest.raises(UserError, match=rf'--out: found ".*{name}" for the format {kind}; accepted is .* ends in \.{kind}'):
+    with pytest.raises(
+        UserError, match=rf'--out: found ".*{name}" for the format {kind}; accepted is .* ends in \.{kind}'
+    ):
         export(run, kind, tmp_path / name)
     assert not list(tmp_path.iterdir())
 
