@@ -30,10 +30,12 @@ from emran_sumo.user_code import maker as maker_of
 from emran_sumo.warm import Progress, warm_kernels
 from emran_sumo.world import waiting
 from emran_sumo.world.native import Native, watch
+from emran_sumo.world.persons import SHOWN, Persons, joined
 from emran_sumo.world.records import NOBODY
 from emran_sumo.world.signals import Signals, stop_lines
 from emran_sumo.world.sumo import SumoWorld
 from emran_sumo.world.track import TrackWorld
+from emran_sumo.world.written import real_only
 
 MIRROR_TOLERANCE = 1e-3  # m between the plant and its copy in SUMO
 EGO_HEIGHT = 1.45  # m, for the picture
@@ -110,7 +112,7 @@ def _run(
     open_world, maker = opening(located), maker_of(located)
     folder = prepare(out, located)  # only now: a mistake must not cost the older run
     warm_kernels(scenario, progress)
-    with writable(folder), open_world(folder, gui) as world:
+    with writable(folder), real_only(folder), open_world(folder, gui) as world:
         for done in world.warm_up(scenario.warm_up):
             progress("warm-up", done, scenario.warm_up)
         takeovers = Takeovers(world, located, maker)
@@ -181,6 +183,7 @@ class Host:
         self.wall = 0.0
         self._off_road: dict[str, int] = {}  # steps in a row
         self._stop, self._progress, self._signals = stop, progress, signals
+        self._persons = Persons() if isinstance(world, SumoWorld) else None
 
     def drive(self, real_time: bool = False) -> None:
         """Drive until every ego has ended, or the duration; no faster than the clock on the wall with `real_time`."""
@@ -256,14 +259,17 @@ class Host:
             self.tally.mirror[name] = max(self.tally.mirror.get(name, 0.0), error)
         traffic = world.neighbors(name) if lane else NOBODY
         before = ego.frames.last[-1] if len(ego.frames.last) else None
-        others = ego.observe(traffic, error if lane else math.nan, rows)
+        is_drawn = self.recorder is not None and name == self.shown
+        reach = SHOWN if is_drawn else ego.vehicle.length + ego.vehicle.width
+        persons = self._persons.around(ego.pose.x, ego.pose.y, reach) if self._persons else NOBODY
+        others = ego.observe(traffic, error if lane else math.nan, rows, persons)
         outcome = self._outcome(ego, error, lane)
         if outcome is None and lane:
             if isinstance(world, SumoWorld) and world.rerouted(name):
                 self.active[name].planner.reroute(ego, world)
             self.active[name].planner.plan(ego, intent, others, world)
-        if self.recorder is not None and name == self.shown:
-            self.recorder.write(ego.frames.last, traffic, ego.reference_ahead, self.active)
+        if self.recorder is not None and is_drawn:
+            self.recorder.write(ego.frames.last, joined(traffic, persons), ego.reference_ahead, self.active)
             _tell(self.recorder, ego, before, self._signals, isinstance(world, SumoWorld))
         if outcome is not None:
             self.outcomes[name] = outcome

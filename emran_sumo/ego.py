@@ -19,7 +19,7 @@ from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.reference import SpeedReference
 from emran_sumo.scenario import Scenario
 from emran_sumo.world.lanes import speed_cap, way_in, with_begin
-from emran_sumo.world.records import Intent, Others, Pose, TakeOver, Traffic
+from emran_sumo.world.records import NOBODY, Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
 SAFETY = ("lead_gap", "time_to_collision", "deceleration_to_avoid", "mirror_error")
@@ -246,12 +246,14 @@ class Ego:
         end = self.state.position + max(self.speed, 0.0) * self.scenario.rates.sumo_step
         return float(interpolate(self._cap, self.base, end))
 
-    def observe(self, traffic: Traffic, mirror_error: float, rows: np.ndarray) -> Others:
-        """Look around after a step: lead, near misses, collisions; completes the rows of the step."""
+    def observe(
+        self, traffic: Traffic, mirror_error: float, rows: np.ndarray, persons: Traffic = NOBODY
+    ) -> Others:  # fmt: skip
+        """Look around after a step: lead, near misses, collisions, also with persons; completes the step's rows."""
         others = self._seen(traffic)
         self.lead = self._find_lead(others)
         self._note_near_miss()
-        self._find_collisions(traffic)
+        self._find_collisions(traffic, persons)
         extra = [self.lead.gap, self.lead.time_to_collision, self.lead.deceleration_to_avoid, mirror_error]
         self.frames.append(np.column_stack((rows, np.tile(extra, (len(rows), 1)))))
         return others
@@ -347,19 +349,20 @@ class Ego:
         if found < before and found < metrics.CONFLICT_PET:
             self.say("WARN", f"crossed {found:.1f} s after or before another vehicle at the same place")
 
-    def _find_collisions(self, traffic: Traffic) -> None:
+    def _find_collisions(self, *seen: Traffic) -> None:
         car, v = self.state.vehicle, self.vehicle
         center = self._center_ahead()
         x, y = car.x + center * math.cos(car.yaw), car.y + center * math.sin(car.yaw)
         own = metrics.Box(x, y, car.yaw, v.length, v.width)
-        self._note_encounter(own, traffic)
-        near = np.flatnonzero(np.hypot(traffic.x - x, traffic.y - y) < 0.5 * (v.length + traffic.length) + v.width)
-        for k in near:
-            name, other = traffic.ids[k], body(traffic, int(k))
-            if metrics.boxes_overlap(own, other) and name not in self.collided:
-                speeds = f"at {car.speed_long:.1f} m/s, the other at {traffic.speed[k]:.1f} m/s"
-                self.collided[name] = f"{name} {speeds}, {metrics.struck_where(own, other)}"
-                self.say("ERROR", f"collision with {self.collided[name]}")
+        self._note_encounter(own, seen[0])
+        for them in seen:
+            near = np.flatnonzero(np.hypot(them.x - x, them.y - y) < 0.5 * (v.length + them.length) + v.width)
+            for k in near:
+                name, other = them.ids[k], body(them, int(k))
+                if metrics.boxes_overlap(own, other) and name not in self.collided:
+                    speeds = f"at {car.speed_long:.1f} m/s, the other at {them.speed[k]:.1f} m/s"
+                    self.collided[name] = f"{name} {speeds}, {metrics.struck_where(own, other)}"
+                    self.say("ERROR", f"collision with {self.collided[name]}")
 
     def enter(self, name: str, text: str, level: str = "INFO") -> None:
         """Begin a phase of a maneuver."""

@@ -151,6 +151,22 @@ def test_an_output_that_cannot_be_written_is_told_and_nothing_is_left(run, tmp_p
     assert {file.name for file in tmp_path.iterdir()} == {"taken", "file"}
 
 
+@pytest.mark.parametrize(
+    ("kind", "name"), [("png", "x.csv"), ("mp4", "x.txt"), ("csv", "x.csv.gz"), ("parquet", "x.png")]
+)
+def test_no_file_gets_the_ending_of_another_kind(run, tmp_path, kind, name):
+    with pytest.raises(
+        UserError, match=rf'--out: found ".*{name}" for the format {kind}; accepted is .* ends in \.{kind}'
+    ):
+        export(run, kind, tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_ending_of_a_file_may_be_in_capitals_or_missing(run, tmp_path):
+    for name in ("X.CSV", "x"):
+        assert export(run, "csv", tmp_path / name).read_bytes() == export(run, "csv", tmp_path / "y.csv").read_bytes()
+
+
 def test_a_run_is_found_by_its_folder_its_files_and_the_newest_of_a_scenario(tmp_path):
     for age, name in ((30, "a-seed1"), (10, "b-seed1"), (20, "compare-seed1")):
         folder = tmp_path / "runs" / "town" / name

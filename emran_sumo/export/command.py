@@ -27,14 +27,17 @@ def export(run: Path, kind: str, out: Path | None = None, progress: Progress = l
     Args:
         run: as for `found.trace`.
         kind: "csv", "parquet", "png" or "mp4".
-        out: file to write; beside the trace where none is given. A trace is Parquet already.
+        out: file to write, with the ending of its kind or without any; beside the trace where none is given. A trace is
+            Parquet already.
         progress: called with ("draw", seconds drawn, seconds in all) for a video.
 
     Raises:
-        UserError: no such run or format, the file cannot be written, there is no encoder.
+        UserError: no such run or format, another kind's ending, the file cannot be written, there is no encoder.
     """
     if kind not in FORMATS:
         raise UserError(f'--format: found "{kind}"; accepted is {", ".join(FORMATS[:-1])} or {FORMATS[-1]}.')
+    if out is not None and out.suffix.lower() not in ("", f".{kind}"):
+        raise UserError(f'--out: found "{out}" for the format {kind}; accepted is a name that ends in .{kind}.')
     trace = found.trace(run)
     _read(trace, read_units)
     if kind == "parquet" and out is None:
