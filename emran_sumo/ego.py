@@ -19,6 +19,7 @@ from emran_sumo.plant.vehicle import VehicleParams, rolling_start
 from emran_sumo.reference import SpeedReference
 from emran_sumo.scenario import Scenario
 from emran_sumo.world.lanes import speed_cap, way_in, with_begin
+from emran_sumo.world.persons import SHARED
 from emran_sumo.world.records import NOBODY, Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
@@ -117,10 +118,10 @@ class Ego:
         self.status = 0
         self.maneuver = scenario.track.maneuver if scenario.world == "track" else "keep lane"
         self.events: list[Event] = []
-        self.told = 0  # events already recorded
-        self._learned = -math.inf  # s, when a sample last changed a network
+        self.told, self._learned = 0, -math.inf  # events already recorded; s, when a sample last changed a network
         self.frames = Frames(len(COLUMNS))
         self.collided: dict[str, str] = {}  # with whom, and how
+        self._met: set[str] = set()  # touched before
         self.lead = metrics.NO_LEAD
         self.encounters = Encounters()
         self._near_miss = self._conflict = False
@@ -246,9 +247,7 @@ class Ego:
         end = self.state.position + max(self.speed, 0.0) * self.scenario.rates.sumo_step
         return float(interpolate(self._cap, self.base, end))
 
-    def observe(
-        self, traffic: Traffic, mirror_error: float, rows: np.ndarray, persons: Traffic = NOBODY
-    ) -> Others:  # fmt: skip
+    def observe(self, traffic: Traffic, mirror_error: float, rows: np.ndarray, persons: Traffic = NOBODY) -> Others:
         """Look around after a step: lead, near misses, collisions, also with persons; completes the step's rows."""
         others = self._seen(traffic)
         self.lead = self._find_lead(others)
@@ -359,10 +358,15 @@ class Ego:
             near = np.flatnonzero(np.hypot(them.x - x, them.y - y) < 0.5 * (v.length + them.length) + v.width)
             for k in near:
                 name, other = them.ids[k], body(them, int(k))
-                if metrics.boxes_overlap(own, other) and name not in self.collided:
+                if metrics.boxes_overlap(own, other) and name not in self._met:
+                    self._met.add(name)
                     speeds = f"at {car.speed_long:.1f} m/s, the other at {them.speed[k]:.1f} m/s"
-                    self.collided[name] = f"{name} {speeds}, {metrics.struck_where(own, other)}"
-                    self.say("ERROR", f"collision with {self.collided[name]}")
+                    told = f"{name} {speeds}, {metrics.struck_where(own, other)}"
+                    if name.endswith(SHARED):
+                        self.say("WARN", f"touches {told}")
+                    else:
+                        self.collided[name] = told
+                        self.say("ERROR", f"collision with {told}")
 
     def enter(self, name: str, text: str, level: str = "INFO") -> None:
         """Begin a phase of a maneuver."""

@@ -6,6 +6,7 @@ import numpy as np
 from emran_sumo.world.records import NOBODY, Traffic
 
 SHOWN = 100.0  # m around the ego in which persons are drawn
+SHARED = " on a walking area"  # at the corners of junctions, over which SUMO's cars turn whoever walks there
 
 
 class Persons:
@@ -23,7 +24,10 @@ class Persons:
         self._stages: dict[str, tuple[int, bool]] = {}  # stages left, whether the present one is a walk
 
     def around(self, x: float, y: float, distance: float) -> Traffic:
-        """Persons within a distance [m] east or west and north or south of a place, each named "person <id>"."""
+        """Persons within a distance [m] east or west and north or south of a place, each named "person <id>".
+
+        At corners of junctions SHARED is added.
+        """
         if not libsumo.person.getIDCount():
             return NOBODY
         self._look()
@@ -38,7 +42,7 @@ class Persons:
         yaw = np.radians(90.0 - yaw)
         # as of a vehicle, the place is that of the front
         x_center, y_center = places[:, 0] - 0.5 * length * np.cos(yaw), places[:, 1] - 0.5 * length * np.sin(yaw)
-        names = tuple(f"person {name}" for _, name in found)
+        names = tuple(f"person {name}{SHARED if _is_at_corner(name) else ''}" for _, name in found)
         return Traffic(names, x_center, y_center, yaw, length, width, height, speed)
 
     def _look(self) -> None:
@@ -62,6 +66,11 @@ class Persons:
             of = libsumo.vehicletype
             found = self._sizes[name] = of.getLength(kind), of.getWidth(kind), of.getHeight(kind)
         return found
+
+
+def _is_at_corner(name: str) -> bool:
+    junction, _, part = libsumo.person.getRoadID(name).rpartition("_")
+    return junction.startswith(":") and part.startswith("w")
 
 
 def joined(vehicles: Traffic, persons: Traffic) -> Traffic:
