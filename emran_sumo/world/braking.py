@@ -48,7 +48,7 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside == 0.0 or inside >= needed else []
     gap = min(gaps)
     stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
-    return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
+    return max(min(stop, behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
 
 
 def to_stop(ego: str) -> float:
@@ -130,7 +130,8 @@ def _left(ego: str, lane: str) -> float:
     return libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
 
 
-def _behind_leader(ego: str, speed: float, lag: float) -> float:
+def behind_leader(ego: str, speed: float, lag: float) -> float:
+    """Speed [m/s] with which the ego still stops behind its leader, however late its brakes answer."""
     vehicle = libsumo.vehicle
     name, gap = vehicle.getLeader(ego, REACH) or ("", 0.0)
     if not name:
