@@ -105,7 +105,7 @@ class Yielding:
             return False
         foes = libsumo.vehicle.getJunctionFoes(ego, max(gap, 0.0) + braking.REACH_INSIDE)
         return not any(
-            left > 0.0 and (foe in self._sets_off or gives_way and away < COMES_WITHIN and _moves(foe))
+            left > 0.0 and (foe in self._sets_off or (gives_way and away < COMES_WITHIN and _moves(foe)))
             for foe, _, away, _, left, _, _, gives_way, _ in foes
         )
 
