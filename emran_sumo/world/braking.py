@@ -47,11 +47,11 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     inside = _to_wait_inside(ego, lane)
     gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside == 0.0 or inside >= needed else []
     gap = min(gaps)
-    stop = _stopping(ego, speed, max(gap - lag * speed, 0.0), step) if gap < REACH else math.inf
+    stop = stopping(ego, speed, max(gap - lag * speed, 0.0), step) if gap < REACH else math.inf
     return max(min(stop, behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
 
 
-def _stopping(ego: str, speed: float, gap: float, step: float) -> float:
+def stopping(ego: str, speed: float, gap: float, step: float) -> float:
     """Speed [m/s] at the end of a step with which the ego stops within `gap` [m]: SUMO's own.
 
     Where a line closes late SUMO comes back to its speed for that gap within a step; a steady braking does as well.
