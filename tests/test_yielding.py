@@ -59,7 +59,7 @@ def four_at_once(folder: Path) -> Path:
 
 @pytest.mark.parametrize("seed", [2, 3])
 def test_four_who_wait_for_each_other_get_on_about_as_soon_as_sumos_drivers(tmp_path, seed):
-    """SUMO lets them go for single steps of 7 mm, at random; a car whose drive lags did not move in one for a minute."""
+    """SUMO lets them go for single steps of 7 mm, at random; a car whose drive lags did not move in one."""
     chosen = {"egos.ids": (("0", "1", "2", "3"), ""), "duration": (120.0, ""), "seed": (seed, "")}
     located = scenario.load(str(four_at_once(tmp_path)), chosen)
     result = drive.run(located, tmp_path / "runs", record=False)
