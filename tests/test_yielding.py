@@ -71,15 +71,16 @@ def test_four_who_wait_for_each_other_get_on_about_as_soon_as_sumos_drivers(tmp_
 
 
 def test_a_line_that_closes_late_is_braked_for_steadily(monkeypatch):
-    """SUMO comes back to its speed for the room within one step, here with 21 m/s2; v^2 / (2 room) is enough."""
+    """SUMO comes back to its speed for the room within one step, here with 28 m/s2; v^2 / (2 room) is enough."""
     step, decel, speed, left = 0.05, 4.5, 9.0, 7.0
 
     class Vehicle:
-        """What SUMO says: the speed from which its driver still stops at 4.5 m/s2."""
+        """The speed u after the step h with which a driver still stops: u^2 / (2 b) + (v + u) h / 2 = gap."""
 
         @staticmethod
-        def getStopSpeed(_ego: str, _speed: float, gap: float) -> float:
-            return math.sqrt(2.0 * decel * gap)
+        def getStopSpeed(_ego: str, v: float, gap: float) -> float:
+            bh = 0.5 * decel * step
+            return math.sqrt(max(bh * bh + 2.0 * decel * (gap - 0.5 * v * step), bh * bh)) - bh
 
     monkeypatch.setattr(braking.libsumo, "vehicle", Vehicle)
     steady, hardest = 0.5 * speed * speed / left, 0.0
