@@ -71,7 +71,7 @@ def test_four_who_wait_for_each_other_get_on_about_as_soon_as_sumos_drivers(tmp_
 
 
 def test_a_line_that_closes_late_is_braked_for_steadily(monkeypatch):
-    """SUMO comes back to its speed for the room within one step, here with 28 m/s2; v^2 / (2 room) is enough."""
+    """SUMO comes back to its speed for the room within one step, here with 26 m/s2; v^2 / (2 room) is enough."""
     step, decel, speed, left = 0.05, 4.5, 9.0, 7.0
 
     class Vehicle:
