@@ -716,6 +716,9 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     with pytest.warns(RerunWarning, match="no footer"):
         summary = static_text(files[signal.SIGKILL])
     assert killed[-1] == 24_000_000_000, "only what was held since the last chunk may be lost"
+    with pytest.warns(RerunWarning, match="no footer"):
+        looks, _ = rows_of(files[signal.SIGKILL], "/plots/steering_network", "trace:weights")
+    assert looks[-1] == 24_000_000_000, "the networks too"
     assert "not finished" in summary[-1]
     with pytest.warns(RerunWarning, match="no footer"):
         names, _ = arranged(files[signal.SIGKILL])
@@ -725,6 +728,17 @@ def test_runs_that_are_killed_or_terminated_leave_their_data(tmp_path):
     terminated, _ = rows_of(files[signal.SIGTERM], "/plots/ego", "trace:speed_long")
     assert terminated[-1] == 25_000_000_000
     assert "stopped early by SystemExit 143" in static_text(files[signal.SIGTERM])[-1]
+
+
+def test_a_run_has_something_to_show_after_two_seconds(tmp_path):
+    file = tmp_path / "a.rrd"
+    with open_recorder(file) as recorder:
+        drive(recorder, ego_trace(3.0), 5)
+        recorder._stream.flush()
+        time.sleep(0.5)
+        with pytest.warns(RerunWarning, match="no footer"):
+            times, _ = rows_of(file, "/plots/ego", "trace:speed_long")
+    assert times[-1] == 2_000_000_000
 
 
 def test_a_viewer_that_does_not_answer_holds_up_the_end_of_a_live_run_for_its_patience_only(tmp_path):

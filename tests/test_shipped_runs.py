@@ -1,8 +1,11 @@
 """Every shipped scenario is driven: some seconds of each always, all of each, and better than unaided, when asked."""
 
+import xml.etree.ElementTree as ET
+
+import numpy as np
 import pytest
 
-from emran_sumo import drive, scenario, shipped
+from emran_sumo import drive, locate, scenario, shipped
 
 TRAFFIC = [name for name in shipped.scenarios() if scenario.load(name).values.world == "sumo"]
 DISTURBED = {"wet_curves", "bridge_gust"}  # friction patches, side gusts
@@ -44,3 +47,19 @@ def test_an_ego_of_the_town_turns_without_harm(seed, ego, duration, where, tmp_p
     only = {"ego": "", "egos.ids": (ego,), "egos.penetration": 0.0}
     result = driven("town", tmp_path, seed=seed, duration=duration, **only)
     assert result.ended == "finished", f"{where}: {result.reason}"
+
+
+def test_the_hills_are_driven_with_the_grades_that_the_network_has(tmp_path):
+    """The heights of the lanes as the file gives them, where they run on for 40 m before and behind."""
+    result = driven("highway_cruise", tmp_path, duration=30.0)
+    net = ET.parse(locate.folder("networks") / "hills" / "hills.net.xml").getroot()
+    lane = next(lane for lane in net.iter("lane") if lane.get("id") == "fast_1")
+    line = np.array([[float(v) for v in point.split(",")] for point in lane.get("shape", "").split()])
+    run = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))))
+    seen = result.signals[::100]
+    place = [run[np.hypot(line[:, 0] - x, line[:, 1] - y).argmin()] for x, y in zip(seen["x"], seen["y"], strict=True)]
+    before, behind = (np.interp(np.add(place, d), run, line[:, 2]) for d in (-40.0, 40.0))
+    inside = (np.array(place) > 40.0) & (np.array(place) < run[-1] - 40.0)
+    assert np.tan(seen["grade"][inside]).max() > 0.04
+    # parabolas of a radius above 5000 m: 80 m of chord and the distance to the nearest point are 0.5 % at the most
+    np.testing.assert_allclose(np.tan(seen["grade"])[inside], ((behind - before) / 80.0)[inside], atol=0.005)

@@ -14,7 +14,6 @@ from emran_sumo.recording.plots import ARCHETYPE, LINE_WIDTH
 from emran_sumo.recording.stream import Stream, series
 
 INSIGHT_PERIOD = 500  # ms
-AT_ONCE = 48  # looks that are sent together: each sending costs as much as all its looks
 SHOWN = 16  # neurons of a network whose weights and widths are plotted
 GRAVITY = 9.81  # m/s2
 DRAWN = 0.2  # of its width is the radius of a neuron's sphere: whole ones would hide each other

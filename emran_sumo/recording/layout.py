@@ -1,5 +1,7 @@
 """How a run is arranged on the screen: the layout that every file carries."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -39,7 +41,7 @@ class Extents:
 
     def __init__(self, curves: int = len(CURVES)) -> None:
         self._low, self._high = np.full(curves, np.inf), np.full(curves, -np.inf)
-        self.spaces: dict[str, tuple[np.ndarray, float]] = {}
+        self._boxes: dict[str, tuple[np.ndarray, float]] = {}
         self.end: float | None = None  # s, of the run, once it is known
 
     def include(self, values: np.ndarray) -> None:
@@ -47,12 +49,23 @@ class Extents:
         self._low = np.fmin(self._low, np.fmin.reduce(values, axis=1))
         self._high = np.fmax(self._high, np.fmax.reduce(values, axis=1))
 
-    def include_space(self, network: str, seen: Insight) -> None:
-        """Keep the middle and the size of where a network's neurons are."""
-        places = np.concatenate((seen.centers, seen.point[None]))[:, :3]
-        low, high = places.min(axis=0), places.max(axis=0)
-        widest = DRAWN * float(seen.widths.max(initial=1.0))
-        self.spaces[network] = (0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + widest)
+    def include_space(self, network: str, seen: Sequence[Insight]) -> None:
+        """Widen the space that a network's neurons, and the car's inputs, have been in."""
+        places = np.concatenate([np.vstack((one.centers, one.point))[:, :3] for one in seen])
+        widest = DRAWN * max(float(one.widths.max(initial=1.0)) for one in seen)
+        box = np.array((places.min(axis=0), places.max(axis=0)))
+        if network in self._boxes:
+            before, wide = self._boxes[network]
+            box, widest = np.array((np.fmin(box[0], before[0]), np.fmax(box[1], before[1]))), max(widest, wide)
+        self._boxes[network] = box, widest
+
+    @property
+    def spaces(self) -> dict[str, tuple[np.ndarray, float]]:
+        """Middle (3,) of each network's space, and how far it reaches from there."""
+        return {
+            network: (0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + widest)
+            for network, ((low, high), widest) in self._boxes.items()
+        }
 
     def of(self, plot: Plot) -> tuple[float, float] | None:
         """Range (low, high) of a plot's vertical axis; None before anything was seen: the viewer finds it."""

@@ -12,7 +12,7 @@ from emran_sumo.recording.stream import Changes, Stream, turns
 BRAKING = -100.0  # N m of wheel torque below which the brake lights shine
 FORCE_STEP = 100.0  # N: finer changes of a side force are not drawn
 FORCE_SCALE = 1.5e-3  # m of arrow per N
-GRADE_STEP, GRADE_PLACE = 0.5, (5.0, -3.0, 0.1)  # %: finer changes are not told; m, ahead of the ego on its right
+GRADE_STEP, GRADE_PLACE = 0.5, (9.0, -7.0, 0.1)  # %: finer changes are not told; m, ahead of the ego on its right
 LOAD_STEP = 0.05  # kN
 TIRES_APART = 20.0  # kN between the middles of the front and the rear axle in their view
 AXLES = (("front", -0.5 * TIRES_APART, BLUE), ("rear", 0.5 * TIRES_APART, AMBER))

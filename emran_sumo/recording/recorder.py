@@ -1,7 +1,7 @@
 """One run as one Rerun file: the road, the traffic, the ego, its plots, events and states, on one timeline.
 
-Rows are gathered and sent as columns every 24 s of simulated time: memory stays flat, a killed run loses at most the
-last chunk, and files of equal runs are equal (`rerun rrd compare`).
+Rows are gathered and sent as columns after 2 s, and every 24 s of simulated time: memory stays flat, a killed run loses
+at most the last chunk, and files of equal runs are equal (`rerun rrd compare`).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ import rerun as rr
 
 from emran_sumo.recording.car import EgoShape, draw_ego
 from emran_sumo.recording.colors import TEAL, packed
-from emran_sumo.recording.insight import AT_ONCE, COLORS, Insight, send_insights, style_insights
+from emran_sumo.recording.insight import Insight, send_insights, style_insights
 from emran_sumo.recording.layout import Extents, layout
 from emran_sumo.recording.motion import EgoMotion
 from emran_sumo.recording.plots import ARCHETYPE, CURVES, EVENT_COLORS, LINE_WIDTH, STATES
@@ -28,7 +28,8 @@ from emran_sumo.world.records import Road, Traffic
 # ms of simulated time per chunk: each costs as much as two seconds of what is in it, and Rerun keeps 4 kB of each
 # until the file ends
 CHUNK = 24_000
-LIVE_CHUNK = 1000  # ms, where somebody watches
+FIRST_CHUNK = 2000  # ms: a run that is killed soon after has something to show
+LIVE_CHUNK = 2000  # ms, where somebody watches
 PLOT_PERIOD = 20  # ms between the samples of a plot
 REFERENCE_PERIOD = 200  # ms between the drawings of the path ahead
 REFERENCE_POINTS = 24  # points of the path ahead that are drawn
@@ -85,7 +86,6 @@ class Recorder:
         self._last_state: dict[str, str] = {}
         self.patched: object = None  # the lane whose patch is drawn
         self._extents = Extents()
-        self._insights: dict[str, list[tuple[int, Insight]]] = {}
         self._forget()
 
         shapes = road_shapes(road)
@@ -149,10 +149,10 @@ class Recorder:
         if opening or now % REFERENCE_PERIOD == 0:
             ahead = reference()
             self._references.append((shown, _thinned(ahead if len(ahead) else rows[-1:, self._place])))
-        period = LIVE_CHUNK if self._live else CHUNK
-        if self._chunk is not None and now // period > self._chunk:
+        chunk = now // LIVE_CHUNK if self._live else -(now < FIRST_CHUNK) + now // CHUNK
+        if self._chunk is not None and chunk > self._chunk:
             self._flush()
-        self._chunk = now // period
+        self._chunk = chunk
 
     def event(self, time: float, level: str, text: str) -> None:
         """Add a line at `time` [s] to the list of events; level is DEBUG, INFO, WARN or ERROR."""
@@ -209,6 +209,7 @@ class Recorder:
         self._events: list[tuple[int, str, str]] = []
         self._states: dict[str, list[tuple[int, str]]] = {}
         self._signals: list[tuple[int, str]] = []
+        self._insights: dict[str, list[tuple[int, Insight]]] = {}
 
     def _flush(self) -> None:
         if self._rows:
@@ -228,13 +229,10 @@ class Recorder:
         self._forget()
 
     def _send_insights(self) -> None:
-        for name in COLORS:
-            looks = self._insights.get(name, [])
-            if looks and (self._closed or len(looks) >= AT_ONCE):
-                times, found = zip(*looks, strict=True)
-                self._extents.include_space(name, found[-1])
-                send_insights(self._stream, name, np.array(times), list(found))
-                looks.clear()
+        for name, looks in self._insights.items():
+            times, found = zip(*looks, strict=True)
+            self._extents.include_space(name, found)
+            send_insights(self._stream, name, np.array(times), list(found))
 
     def _note(self, rows: np.ndarray) -> None:
         """Events and states that the rows themselves tell, in their order of time with the others."""

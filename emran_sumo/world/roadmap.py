@@ -71,9 +71,8 @@ class RoadMap:
     def shape(self, lane: str) -> np.ndarray:
         """Center line (n, 3) of a lane [m]."""
         if lane not in self._shapes:
-            shape = np.array(libsumo.lane.getShape(lane), dtype=float)
-            flat = shape.shape[1] < 3
-            self._shapes[lane] = np.column_stack((shape, np.zeros(len(shape)))) if flat else shape
+            flat = np.array(libsumo.lane.getShape(lane), dtype=float)[:, :2]
+            self._shapes[lane] = np.column_stack((flat, _heights(lane, flat)))
         return self._shapes[lane]
 
     def beside(self, lane: str, x: float, y: float) -> Beside:
@@ -231,6 +230,15 @@ class RoadMap:
                 lanes.append(Lane(name, edge, index, count, libsumo.lane.getWidth(name), self.shape(name)))
         shapes = [np.array(libsumo.junction.getShape(name)) for name in libsumo.junction.getIDList()]
         return Road(tuple(lanes), tuple(shape[:, :2] for shape in shapes if shape.ndim == 2 and len(shape) > 2))
+
+
+def _heights(lane: str, line: np.ndarray) -> list[float]:
+    """Heights [m] of the points (n, 2) of a lane, which SUMO leaves out of its shape; 0 in a flat network."""
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+    edge, _, index = lane.rpartition("_")
+    places = along * libsumo.lane.getLength(lane) / max(along[-1], 1e-9)
+    points = (libsumo.simulation.convert3D(edge, float(place), int(index)) for place in places)
+    return [point[2] if len(point) > 2 else 0.0 for point in points]
 
 
 def _extended(points: np.ndarray) -> np.ndarray:
