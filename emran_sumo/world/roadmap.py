@@ -236,7 +236,8 @@ def _heights(lane: str, line: np.ndarray) -> list[float]:
     """Heights [m] of the points (n, 2) of a lane, which SUMO leaves out of its shape; 0 in a flat network."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     edge, _, index = lane.rpartition("_")
-    places = along * libsumo.lane.getLength(lane) / max(along[-1], 1e-9)
+    length = libsumo.lane.getLength(lane)
+    places = np.minimum(along * length / max(along[-1], 1e-9), length)  # SUMO has no place that rounds beyond the end
     points = (libsumo.simulation.convert3D(edge, float(place), int(index)) for place in places)
     return [point[2] if len(point) > 2 else 0.0 for point in points]
 
