@@ -92,3 +92,20 @@ def test_a_line_that_closes_late_is_braked_for_steadily(monkeypatch):
         speed = after
     assert hardest < 1.1 * steady
     assert left > 0.0
+
+
+@pytest.mark.parametrize(("state", "stops"), [("Z", False), ("m", True)])
+def test_nobody_stops_at_a_closed_zipper(monkeypatch, state, stops):
+    """Two lanes merge there in turn; a link without priority that is closed is stopped at."""
+
+    class Vehicle:
+        """A car 20 m before a closed link, with nothing else around."""
+
+        getLaneID = staticmethod(lambda _: "a_0")
+        getLanePosition = staticmethod(lambda _: 80.0)
+        getNextLinks = staticmethod(lambda _: [("b_0", False, False, True, "", state, "s", 5.0)])
+
+    monkeypatch.setattr(braking.libsumo, "vehicle", Vehicle)
+    monkeypatch.setattr(braking.libsumo.lane, "getLength", lambda _: 100.0)
+    assert braking._to_closed("ego", "a_0", 10.0) == (20.0 if stops else math.inf)
+    assert braking._to_wait_inside("ego", "a_0") == math.inf

@@ -18,6 +18,7 @@ CALM = 1.0  # s
 SPARE_SPEED = 0.1  # m/s
 STOPPED = 1  # bit of the stop state
 CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
+ZIPPER = "Z"  # state of a link where two lanes merge in turn: who follows whom there is SUMO's speed
 STOP_STATES = "ryRYu"  # of a light
 
 
@@ -88,7 +89,7 @@ def _to_closed(ego: str, lane: str, speed: float) -> float:
         return math.inf
     # hasPrio, isOpen, hasFoe, internal lane, state
     _, _, is_open, _, _, state, *_ = links[0]
-    return math.inf if is_open or state in STOP_STATES else _left(ego, lane)
+    return math.inf if is_open or state in STOP_STATES or state == ZIPPER else _left(ego, lane)
 
 
 def _to_wait_inside(ego: str, lane: str) -> float:
@@ -97,7 +98,7 @@ def _to_wait_inside(ego: str, lane: str) -> float:
     SUMO counts whoever is a hand's breadth beyond it as gone on.
     """
     left = _left(ego, lane)
-    if left > REACH_INSIDE:
+    if left > REACH_INSIDE or any(link[5] == ZIPPER for link in libsumo.vehicle.getNextLinks(ego)[:1]):
         return math.inf
     if lane.startswith(":"):
         if _is_just_beyond(ego, lane) and _is_crossed(ego, lane):
