@@ -18,6 +18,7 @@ CALM = 1.0  # s
 SPARE_SPEED = 0.1  # m/s
 STOPPED = 1  # bit of the stop state
 CHANGE_ROOM = 12.0  # m that a car needs to change the lane from standstill
+ZIPPER = "Z"  # state of a link where two lanes merge in turn: who follows whom there is SUMO's speed
 STOP_STATES = "ryRYu"  # of a light
 
 
@@ -47,8 +48,17 @@ def speed_cap(ego: str, lag: float, step: float) -> float:
     inside = _to_wait_inside(ego, lane)
     gaps += [max(inside - WAIT_BEFORE, 0.0)] if inside == 0.0 or inside >= needed else []
     gap = min(gaps)
-    stop = vehicle.getStopSpeed(ego, speed, max(gap - lag * speed, 0.0)) if gap < REACH else math.inf
-    return max(min(stop, _behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
+    stop = stopping(ego, speed, max(gap - lag * speed, 0.0), step) if gap < REACH else math.inf
+    return max(min(stop, behind_leader(ego, speed, lag), _beside_slower(ego, speed, lag, step)), 0.0)
+
+
+def stopping(ego: str, speed: float, gap: float, step: float) -> float:
+    """Speed [m/s] at the end of a step with which the ego stops within `gap` [m]: SUMO's own.
+
+    Where a line closes late SUMO comes back to its speed for that gap within a step; a steady braking does as well.
+    """
+    steady = speed - 0.5 * speed * speed / max(gap, 1e-3) * step
+    return max(libsumo.vehicle.getStopSpeed(ego, speed, gap), steady)
 
 
 def to_stop(ego: str) -> float:
@@ -79,7 +89,7 @@ def _to_closed(ego: str, lane: str, speed: float) -> float:
         return math.inf
     # hasPrio, isOpen, hasFoe, internal lane, state
     _, _, is_open, _, _, state, *_ = links[0]
-    return math.inf if is_open or state in STOP_STATES else _left(ego, lane)
+    return math.inf if is_open or state in STOP_STATES or state == ZIPPER else _left(ego, lane)
 
 
 def _to_wait_inside(ego: str, lane: str) -> float:
@@ -88,7 +98,7 @@ def _to_wait_inside(ego: str, lane: str) -> float:
     SUMO counts whoever is a hand's breadth beyond it as gone on.
     """
     left = _left(ego, lane)
-    if left > REACH_INSIDE:
+    if left > REACH_INSIDE or any(link[5] == ZIPPER for link in libsumo.vehicle.getNextLinks(ego)[:1]):
         return math.inf
     if lane.startswith(":"):
         if _is_just_beyond(ego, lane) and _is_crossed(ego, lane):
@@ -130,7 +140,8 @@ def _left(ego: str, lane: str) -> float:
     return libsumo.lane.getLength(lane) - libsumo.vehicle.getLanePosition(ego)
 
 
-def _behind_leader(ego: str, speed: float, lag: float) -> float:
+def behind_leader(ego: str, speed: float, lag: float) -> float:
+    """Speed [m/s] with which the ego still stops behind its leader, however late its brakes answer."""
     vehicle = libsumo.vehicle
     name, gap = vehicle.getLeader(ego, REACH) or ("", 0.0)
     if not name:
