@@ -9,17 +9,16 @@ from emran_sumo import metrics
 from emran_sumo.conditioning import conditioned
 from emran_sumo.encounters import Encounters, body
 from emran_sumo.frames import Frames
+from emran_sumo.handover import BLEND_SHARES, begin, caps
 from emran_sumo.loop import AT, TRACE, WIDTH, References, blank_networks, closed_loop, new_trace, start
 from emran_sumo.own_controller import OwnController
 from emran_sumo.path import Path, first_near, interpolate, nearest, path_length, project
 from emran_sumo.plant.disturbance import drawn
-from emran_sumo.plant.records import GRAVITY
 from emran_sumo.plant.sensors import CHANNELS, noise_source
-from emran_sumo.plant.vehicle import VehicleParams, rolling_start
+from emran_sumo.plant.vehicle import VehicleParams
 from emran_sumo.reference import SpeedReference
 from emran_sumo.scenario import Scenario
-from emran_sumo.world.lanes import speed_cap, way_in, with_begin
-from emran_sumo.world.persons import SHARED
+from emran_sumo.world.persons import ON_WALKING_AREA
 from emran_sumo.world.records import NOBODY, Intent, Others, Pose, TakeOver, Traffic
 
 # columns that the host loop adds to the trace of the closed loop; held over one SUMO step
@@ -45,10 +44,6 @@ SETTLED_AFTER = 1.0  # s without a sample that changes a network
 LOST_WITHIN = 15.0  # m around it in which a bend may have lost the car
 ALIGNED = 0.7  # cosine between a body and the path above which it goes the ego's way: others cross or come
 BESIDE = 0.5  # m that bodies may overlap along the lane while one is still ahead
-TOO_FAST = 1.2  # times what the bends ahead allow
-IN_BEND = 0.02  # 1/m
-FRICTION_SHARE = 0.5  # of the friction that bends may take
-BLEND_SHARES = (1.5, 0.6)  # of curve_accel and of the friction that the short ways from lane to lane may take
 
 
 class Event(NamedTuple):
@@ -92,25 +87,14 @@ class Ego:
         self._drive = closed_loop if own is None else own.closed_loop
         self.lane_width = handed.lane_width
         self.began_at = time
-        pose = handed.pose
-        path = with_begin(handed.path, pose.x, pose.y)
-        self.base = self.path = self.driven = path
+        at = begin(handed, scenario, vehicle)
+        pose = at.pose
+        self.base = self.path = self.driven = at.path
         self._origin = 0.0
-        guess = first_near(path, pose.x, pose.y, pose.yaw)
-        # SUMO takes bends at any speed; a car that begins in one begins at what the bend allows
-        pose = self._slowed(pose, _caps(path, scenario), path, guess)
-        way = way_in(path, pose, guess)
-        if way is not path:
-            pose = self._slowed(
-                pose, _caps(way, scenario, *BLEND_SHARES), way, first_near(way, pose.x, pose.y, pose.yaw)
-            )
-        car = rolling_start(vehicle, float(pose.speed), pose.x, pose.y, pose.yaw)
-        bend = float(interpolate(way.curvature, way, first_near(way, pose.x, pose.y, pose.yaw)))
-        if abs(bend) > IN_BEND:  # who comes in a bend steers already
-            wheelbase, turns = vehicle.front_axle + vehicle.rear_axle, float(pose.speed) * bend
-            car = car._replace(steer=math.atan(wheelbase * bend), yaw_rate=turns, speed_lat=turns * vehicle.rear_axle)
-        self.state = start(vehicle, scenario.longitudinal, scenario.lateral, car, guess, scenario.rates.control_step)
-        self.take_path(path, way, bends=way is not path)
+        self.state = start(
+            vehicle, scenario.longitudinal, scenario.lateral, at.car, at.position, scenario.rates.control_step
+        )
+        self.take_path(at.path, at.way, bends=at.way is not at.path)
         self.route_offset = handed.route_position - self.state.position
         self.control = scenario.control
         self.networks = blank_networks(self.control)
@@ -118,7 +102,8 @@ class Ego:
         self.status = 0
         self.maneuver = scenario.track.maneuver if scenario.world == "track" else "keep lane"
         self.events: list[Event] = []
-        self.told, self._learned = 0, -math.inf  # events already recorded; s, when a sample last changed a network
+        self.told = 0  # events already recorded
+        self._learned = -math.inf  # s, when a sample last changed a network
         self.frames = Frames(len(COLUMNS))
         self.collided: dict[str, str] = {}  # with whom, and how
         self._met: set[str] = set()  # touched before
@@ -136,12 +121,6 @@ class Ego:
         self._noise = noise_source(scenario.seed, index)
         if pose.speed < handed.pose.speed:
             self.say("WARN", f"starts at {pose.speed:.1f} m/s in place of {handed.pose.speed:.1f}: a bend is ahead")
-
-    @staticmethod
-    def _slowed(pose: Pose, caps: np.ndarray, path: Path, position: float) -> Pose:
-        """The pose at the speed that the bends of a path allow at `position` [m] of it."""
-        cap = float(interpolate(caps, path, position))
-        return pose._replace(speed=cap) if pose.speed > TOO_FAST * cap else pose
 
     @property
     def pose(self) -> Pose:
@@ -185,7 +164,7 @@ class Ego:
             return False
         if np.abs(own.curvature).max() * (v.front_axle + v.rear_axle) > math.tan(v.steer_limit):
             return False
-        return self.speed <= _caps(own, self.scenario, *BLEND_SHARES)[0]
+        return self.speed <= caps(own, self.scenario, *BLEND_SHARES)[0]
 
     def take_path(self, base: Path, path: Path, bends: bool = False) -> None:
         """Follow `path` from here on; `base` is the center line of the lane that it belongs to or leads to.
@@ -202,9 +181,9 @@ class Ego:
         position = nearest(self.driven, car.x, car.y, guess).position
         self._origin += before - position
         self.state = self.state._replace(position=position)
-        self._cap = _caps(base, self.scenario)
+        self._cap = caps(base, self.scenario)
         if bends:
-            own = _caps(path, self.scenario, *BLEND_SHARES)
+            own = caps(path, self.scenario, *BLEND_SHARES)
             count = min(own.size, self._cap.size)
             self._cap[:count] = np.minimum(self._cap[:count], own[:count])
 
@@ -348,13 +327,13 @@ class Ego:
         if found < before and found < metrics.CONFLICT_PET:
             self.say("WARN", f"crossed {found:.1f} s after or before another vehicle at the same place")
 
-    def _find_collisions(self, *seen: Traffic) -> None:
+    def _find_collisions(self, traffic: Traffic, persons: Traffic) -> None:
         car, v = self.state.vehicle, self.vehicle
         center = self._center_ahead()
         x, y = car.x + center * math.cos(car.yaw), car.y + center * math.sin(car.yaw)
         own = metrics.Box(x, y, car.yaw, v.length, v.width)
-        self._note_encounter(own, seen[0])
-        for them in seen:
+        self._note_encounter(own, traffic)
+        for them in (traffic, persons):
             near = np.flatnonzero(np.hypot(them.x - x, them.y - y) < 0.5 * (v.length + them.length) + v.width)
             for k in near:
                 name, other = them.ids[k], body(them, int(k))
@@ -362,7 +341,7 @@ class Ego:
                     self._met.add(name)
                     speeds = f"at {car.speed_long:.1f} m/s, the other at {them.speed[k]:.1f} m/s"
                     told = f"{name} {speeds}, {metrics.struck_where(own, other)}"
-                    if name.endswith(SHARED):
+                    if name.endswith(ON_WALKING_AREA):
                         self.say("WARN", f"touches {told}")
                     else:
                         self.collided[name] = told
@@ -392,9 +371,3 @@ class Ego:
                         text = f"{net} network: neuron {what}, {count} {plural}"
                         self.events.append(Event(float(row[AT.time]), "DEBUG", text))
             last = row
-
-
-def _caps(path: Path, scenario: Scenario, share: float = 1.0, friction_share: float = FRICTION_SHARE) -> np.ndarray:
-    """Speeds (n,) [m/s] that the bends of a path allow, with a share of the road's curve_accel and of its friction."""
-    road = scenario.road
-    return speed_cap(path, min(share * road.curve_accel, friction_share * road.friction * GRAVITY), road.curve_decel)

@@ -13,8 +13,8 @@ FLOORS = (
     "loop conditioning frames reference",
     "world recording metrics encounters maneuver scenario viewer vehicles vehicle_figure options found "
     "faults observation own_controller",
-    "user_code ego takeover planner selection opening warm manifest stop results drive bench report tuning search "
-    "checkpoint tune paper",
+    "user_code ego handover takeover planner selection opening warm manifest stop results drive bench report tuning "
+    "search checkpoint tune paper",
     "study compare export python",
     "terminal cli_study cli_vehicle cli_files cli",
 )

@@ -149,7 +149,7 @@ class Recorder:
         if opening or now % REFERENCE_PERIOD == 0:
             ahead = reference()
             self._references.append((shown, _thinned(ahead if len(ahead) else rows[-1:, self._place])))
-        chunk = now // LIVE_CHUNK if self._live else -(now < FIRST_CHUNK) + now // CHUNK
+        chunk = now // LIVE_CHUNK if self._live else now // CHUNK if now >= FIRST_CHUNK else -1
         if self._chunk is not None and chunk > self._chunk:
             self._flush()
         self._chunk = chunk

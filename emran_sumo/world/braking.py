@@ -98,13 +98,15 @@ def _to_wait_inside(ego: str, lane: str) -> float:
     SUMO counts whoever is a hand's breadth beyond it as gone on.
     """
     left = _left(ego, lane)
-    if left > REACH_INSIDE or any(link[5] == ZIPPER for link in libsumo.vehicle.getNextLinks(ego)[:1]):
+    if left > REACH_INSIDE:
+        return math.inf
+    links = libsumo.vehicle.getNextLinks(ego)
+    if links and links[0][5] == ZIPPER:
         return math.inf
     if lane.startswith(":"):
         if _is_just_beyond(ego, lane) and _is_crossed(ego, lane):
             return 0.0
         return left if _has_to_wait(ego, lane) else math.inf
-    links = libsumo.vehicle.getNextLinks(ego)
     inside = links[0][4] if links else ""
     return left + libsumo.lane.getLength(inside) if inside and _has_to_wait(ego, inside) else math.inf
 

@@ -63,7 +63,7 @@ def shift_between(before: np.ndarray, after: np.ndarray) -> float:
     return float(across @ (after[0, :2] - before[-1, :2]))
 
 
-def shift_length(height: float, accel: float, speed: float) -> float:
+def _shift_length(height: float, accel: float, speed: float) -> float:
     """Length [m] of a lateral move by `height` [m] at `speed` [m/s] with at most `accel` [m/s2] across.
 
     A quintic of length L and height h has the curvature 5.77 h / L^2 at the most.
@@ -77,7 +77,7 @@ def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) 
     A lane that goes on a lane's width beside its end is drawn by the network as a kink: here it is moved to like a lane
     change.
     """
-    length = shift_length(abs(shift), SHIFT_ACCEL, speed)
+    length = _shift_length(abs(shift), SHIFT_ACCEL, speed)
     distance = np.hypot(*(points[:, :2] - place).T)
     out = points.copy()
     near = distance < 0.5 * max(length, 10.0)
@@ -85,7 +85,7 @@ def loosened(points: np.ndarray, place: np.ndarray, shift: float, speed: float) 
     return out
 
 
-def smooth_path(points: np.ndarray, most: float = MOST) -> Path:
+def smooth_path(points: np.ndarray) -> Path:
     """Path along a polyline (n, 4) of x, y, z and tolerance [m], without the corners of its vertices.
 
     The polyline is sampled every meter; the smoothed points p minimize
@@ -112,7 +112,7 @@ def smooth_path(points: np.ndarray, most: float = MOST) -> Path:
         weight *= np.clip(maximum_filter1d(excess, 7), 1.0, 10.0) ** 2
     curve = make_interp_spline(grid, smooth, k=5)
     path, places = _by_arc_length(curve, along[-1])
-    return drivable(path, most, np.interp(places, grid, np.interp(grid, along, points[:, 3])))
+    return drivable(path, MOST, np.interp(places, grid, np.interp(grid, along, points[:, 3])))
 
 
 def _room_for_kinks(points: np.ndarray) -> np.ndarray:
@@ -178,7 +178,7 @@ def way_in(path: Path, pose: Pose, guess: float) -> Path:
     beside = math.hypot(here.x - pose.x, here.y - pose.y)
     if beside < BESIDE_PATH and abs(float(wrap(here.yaw - pose.yaw))) < TURNED:
         return path
-    length = max(shift_length(beside, WAY_IN_ACCEL, pose.speed), LEAST_WAY_IN)
+    length = max(_shift_length(beside, WAY_IN_ACCEL, pose.speed), LEAST_WAY_IN)
     return steered(reached(path, pose.x, pose.y, pose.yaw, here.position, length), pose.x, pose.y, pose.yaw)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from emran_sumo.world.records import NOBODY, Traffic
 
 SHOWN = 100.0  # m around the ego in which persons are drawn
-SHARED = " on a walking area"  # at the corners of junctions, over which SUMO's cars turn whoever walks there
+ON_WALKING_AREA = " on a walking area"  # at the corners of junctions, over which SUMO's cars turn whoever walks there
 
 
 class Persons:
@@ -26,7 +26,7 @@ class Persons:
     def around(self, x: float, y: float, distance: float) -> Traffic:
         """Persons within a distance [m] east or west and north or south of a place, each named "person <id>".
 
-        At corners of junctions SHARED is added.
+        At corners of junctions ON_WALKING_AREA is added.
         """
         if not libsumo.person.getIDCount():
             return NOBODY
@@ -42,7 +42,7 @@ class Persons:
         yaw = np.radians(90.0 - yaw)
         # as of a vehicle, the place is that of the front
         x_center, y_center = places[:, 0] - 0.5 * length * np.cos(yaw), places[:, 1] - 0.5 * length * np.sin(yaw)
-        names = tuple(f"person {name}{SHARED if _is_at_corner(name) else ''}" for _, name in found)
+        names = tuple(f"person {name}{ON_WALKING_AREA if _is_at_corner(name) else ''}" for _, name in found)
         return Traffic(names, x_center, y_center, yaw, length, width, height, speed)
 
     def _look(self) -> None:
