@@ -384,6 +384,12 @@ def test_who_departs_before_the_begin_and_who_is_nowhere_have_sentences_of_their
         run(file, 10.0, name)
 
 
+def test_a_sentence_lists_a_few_of_many_names(tmp_path):
+    cars = [vehicle(f"c{k:03d}", "b1.b2 b2.b3", 20, depart=float(k)) for k in range(60)]
+    with pytest.raises(UserError, match=r"declared in none of the files. Known: c000, .*, c023 and 36 more\.$"):
+        run(written(tmp_path / "user", cars), 30.0, "zzz")
+
+
 def test_an_ego_whose_type_decides_less_often_than_each_step_is_told_of(tmp_path):
     file = written(tmp_path / "user", [ego("c3.d3 d3.east3")])
     assert "SUMO's own driver" not in " ".join(summary(run(file, 1.0, "ego"))["notes"])
